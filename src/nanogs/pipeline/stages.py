@@ -39,15 +39,12 @@ from nanogs.pipeline.tasks.partition import partition
 from nanogs.pipeline.tasks.parts import write_rest
 from nanogs.pipeline.tasks.sorted_segments import spill
 from nanogs.pipeline.tasks.trials import (
-    budget_stage,
     choose,
-    correct_stage,
     corrected,
     corrects_on,
     grows_on,
-    growth_stage,
+    nth,
     pick,
-    trial_stage,
     try_balances,
     try_corrected,
     try_growth,
@@ -204,7 +201,7 @@ def _budget(work: Work, task: Task) -> Record:
 
 
 def _budget_corrected(step: int, work: Work, task: Task) -> Record:
-    scored = [work.of_blocks(correct_stage(past), task.level) for past in range(step + 1)]
+    scored = [work.of_blocks(nth("correct", past), task.level) for past in range(step + 1)]
     sums = [np.array([record.facts[SUMS] for record in records]) for records in scored]
     shifts, cut_to = unseen_changes(sums), work.cut_to(task.level)
     groups = budget(work.scratch, scored[step], cut_to, shifts=shifts)
@@ -281,16 +278,8 @@ def _merges(scene: Scene, level: int) -> bool:
     return scene.merges(level)
 
 
-def _tries(scene: Scene, level: int) -> bool:
-    return scene.tries(level)
-
-
 def _shows(scene: Scene, _level: int) -> bool:
     return scene.looks
-
-
-def _fitted(scene: Scene, level: int) -> bool:
-    return scene.fits(level)
 
 
 def _grows(step: int, scene: Scene, level: int) -> bool:
@@ -319,15 +308,15 @@ def _correction(step: int) -> tuple[JobStage, ...]:
     wanted, found = partial(_within, step), partial(_corrected, step)
     return (
         JobStage(
-            correct_stage(step), "block", partial(correct, step), _correcting, wanted, None,
+            nth("correct", step), "block", partial(correct, step), _correcting, wanted, None,
             partial(_corrects, step), held=True,
         ),
         JobStage(
-            budget_stage(step), "job", partial(_budget_corrected, step), 0.02, wanted, None,
+            nth("budget", step), "job", partial(_budget_corrected, step), 0.02, wanted, None,
             found,
         ),
         JobStage(
-            trial_stage(step), "block", partial(try_corrected, step), _judging, wanted, None,
+            nth("trial", step), "block", partial(try_corrected, step), _judging, wanted, None,
             found, held=True,
         ),
     )  # fmt: skip
@@ -348,7 +337,7 @@ def _judging(load: Load) -> float:
 def _growing(step: int) -> JobStage:
     """Return the stage that tries a growth; those after the first are seldom needed."""
     return JobStage(
-        growth_stage(step), "block", partial(try_growth, step),
+        nth("growth", step), "block", partial(try_growth, step),
         _judging if step == 0 else lambda load: 0.1 * _judging(load), _guided, None,
         partial(_grows, step), held=True,
     )  # fmt: skip
@@ -368,16 +357,16 @@ STAGES = {
         JobStage("look", "block", look_at_block, looking_seconds, _looks, needed=_shows, held=True),
         JobStage("grow", "block", _grow, 3.3, held=True),
         JobStage("budget", "job", _budget, 0.02, levels=None),
-        JobStage("trial", "block", try_balances, _trying, _guided, None, _tries, held=True),
+        JobStage("trial", "block", try_balances, _trying, _guided, None, Scene.tries, held=True),
         *chain.from_iterable(map(_correction, range(MOST_CORRECTIONS))),
-        JobStage("pick", "job", pick, 0.0, _guided, None, _tries, held=True),
+        JobStage("pick", "job", pick, 0.0, _guided, None, Scene.tries, held=True),
         JobStage("cut", "block", _cut, 0.2, _settles, None, _merges),
         JobStage("settle", "block", _settle, _settling, _settles, None, _merges, held=True),
-        JobStage("judge", "block", try_reassigned, _judging, _judges, None, _tries, held=True),
+        JobStage("judge", "block", try_reassigned, _judging, _judges, None, Scene.tries, held=True),
         *map(_growing, range(len(GROWTHS))),
-        JobStage("choose", "job", choose, 0.0, _guided, None, _tries, held=True),
+        JobStage("choose", "job", choose, 0.0, _guided, None, Scene.tries, held=True),
         JobStage("part", "block", _part, 0.2, levels=None, held=True),
-        JobStage("fit", "block", fit_part, fitting_seconds, _fits, None, _fitted, held=True),
+        JobStage("fit", "block", fit_part, fitting_seconds, _fits, None, Scene.fits, held=True),
         JobStage("rest", "job", write_rest, 0.2, _in_chunks, levels=None),
         JobStage("cells", "block", write_cells, 0.5, _in_chunks),
         JobStage("chunk", "block", write_chunks, 1.0, _in_chunks, levels=None),

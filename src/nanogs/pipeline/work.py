@@ -55,7 +55,7 @@ from nanogs.pipeline.tasks.settle import (
     settled_cover,
     write_settled,
 )
-from nanogs.pipeline.tasks.trials import budget_stage, correct_stage
+from nanogs.pipeline.tasks.trials import nth
 from nanogs.pipeline.tasks.units import Units, find_units, units_of
 from nanogs.pipeline.tasks.unpack import Unpacked
 from nanogs.pipeline.tasks.views import Views, parts_of, views_of
@@ -210,7 +210,7 @@ class Work(Scene):
         number = self.picked(level) if cut is None else cut
         budget, place = "budget", number
         if number >= len(self.balances):
-            budget, place = budget_stage(number - len(self.balances)), 0
+            budget, place = nth("budget", number - len(self.balances)), 0
         return int(self.of_job(budget, level).facts["groups"][place][block])
 
     def cut(self, block: int, level: int, number: int) -> I32:
@@ -256,7 +256,7 @@ class Work(Scene):
         if number < len(self.balances):
             forest = self.of_block("grow", block)
             return forest, number_of(forest, self.balances[number])
-        return self.of_block(correct_stage(number - len(self.balances)), block, level), 0
+        return self.of_block(nth("correct", number - len(self.balances)), block, level), 0
 
     def labels(self, block: int, level: int) -> I32:
         """Return (N,) the group of each leaf of a block in the chosen cut, before reassignment."""

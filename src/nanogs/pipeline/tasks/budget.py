@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nanogs._types import F32, F64, I64, U32
-from nanogs.pipeline.tasks.forests import BINS, counts_of, histogram_of, keys, scores_of
+from nanogs.pipeline.tasks.forests import BINS, histogram_of, keys, scores_of
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, read_column
 
@@ -59,7 +59,7 @@ def budget(
     for row in range(len(forests)):
         if upper[row, high]:
             found = keys_in(row)
-            lower[row] = counts_of(found[found >> 16 == high])
+            lower[row] = np.bincount(found[found >> 16 == high] & 0xFFFF, minlength=BINS)
     low, more, left = _select(lower, left)
     ties = lower[:, low]
     taken = np.clip(left - (np.cumsum(ties) - ties), 0, ties)

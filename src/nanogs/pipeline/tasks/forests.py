@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from nanogs._types import F32, I64, U32, Array
+from nanogs._types import F32, U32, Array
 from nanogs.method.correct import Correction
 from nanogs.method.cut import merge_scores
 from nanogs.method.forest import grow_forest
@@ -125,9 +125,3 @@ def keys(scores: F32) -> U32:
     negative = bits >> 31 != 0
     result: U32 = np.where(negative, ~bits, bits | np.uint32(1 << 31))
     return result
-
-
-def counts_of(low_bits: U32) -> I64:
-    """Return (65536,) the histogram of the lower 16 bits of the keys."""
-    counts: I64 = np.bincount(low_bits & 0xFFFF, minlength=BINS)
-    return counts

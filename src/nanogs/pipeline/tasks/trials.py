@@ -47,7 +47,7 @@ def corrects_on(scene: Scene, level: int, step: int) -> bool:
 
 def corrected(scene: Scene, level: int, step: int) -> bool:
     """Whether a correction found errors to correct in any block; its stage must be done."""
-    return any(any(record.facts[SUMS]) for record in scene.of_blocks(correct_stage(step), level))
+    return any(any(record.facts[SUMS]) for record in scene.of_blocks(nth("correct", step), level))
 
 
 def best_cut(scene: Scene, level: int, corrections: int | None = None) -> int:
@@ -94,7 +94,7 @@ def grows_on(scene: Scene, level: int, step: int) -> bool:
     if step >= len(further_growths(scene.settings.parameters.growth)):
         return False
     tried, best = candidates(scene, level, step)
-    return step == 0 or (best is tried[-1] and len(tried) == _before(scene, level) + step)
+    return step == 0 or best is tried[-1]
 
 
 def choose(scene: Scene, task: Task) -> Record:
@@ -121,7 +121,7 @@ def candidates(
         tried.append(_report(scene, level, "judge", replace(best, reassigned=True)))
         best = tried[-1] if tried[-1].quality > best.quality else best
     for step, growth in enumerate(further_growths(best.growth)[:steps]):
-        tried.append(_report(scene, level, growth_stage(step), replace(best, growth=growth)))
+        tried.append(_report(scene, level, nth("growth", step), replace(best, growth=growth)))
         if tried[-1].quality <= best.quality + GROWTH_MARGIN:
             break
         best = tried[-1]
@@ -134,29 +134,9 @@ def reports_of(scene: Scene, level: int) -> tuple[CandidateReport, ...]:
     return tuple(replace(each, chosen=each is best) for each in tried)
 
 
-def growth_stage(step: int) -> str:
-    """Return the name of the stage that tries a growth."""
-    return f"growth_{step + 1}"
-
-
-def correct_stage(step: int) -> str:
-    """Return the name of the stage that corrects errors once more."""
-    return f"correct_{step + 1}"
-
-
-def budget_stage(step: int) -> str:
-    """Return the name of the stage that divides splats among blocks by corrected errors."""
-    return f"budget_{step + 1}"
-
-
-def trial_stage(step: int) -> str:
-    """Return the name of the stage that measures the cut with errors corrected once more."""
-    return f"trial_{step + 1}"
-
-
-def _before(scene: Scene, level: int) -> int:
-    """Return the number of candidates that are tried before growths are."""
-    return len(_cuts(scene, level)) + (scene.settings.parameters.rounds > 0)
+def nth(stage: str, step: int) -> str:
+    """Return the name of a stage that is done again in each step: "growth_1" is that of step 0."""
+    return f"{stage}_{step + 1}"
 
 
 def _cuts(scene: Scene, level: int, corrections: int | None = None) -> list[CandidateReport]:
@@ -181,7 +161,7 @@ def _cuts(scene: Scene, level: int, corrections: int | None = None) -> list[Cand
         if not corrected(scene, level, step):
             break
         report = replace(tried[-1], balance=scene.balances[-1], corrections=step + 1)
-        tried.append(_report(scene, level, trial_stage(step), report))
+        tried.append(_report(scene, level, nth("trial", step), report))
         if tried[-1].quality <= best.quality:
             break
         best = tried[-1]
