@@ -112,7 +112,7 @@ def test_the_cost_does_not_depend_on_blocks_or_threads(tmp_path, monkeypatch):
     model.means[::50] = np.nan
     nanogs.save(model, tmp_path / "a.npz")
     in_memory = nanogs.draw_cost(nanogs.load(tmp_path / "a.npz"), pixels=96, views=3, threads=1)
-    monkeypatch.setattr(covering, "BLOCK_ROWS", 64)
+    monkeypatch.setattr(covering, "DRAWN_ROWS", 64)
     with nanogs.open(tmp_path / "a.npz") as source:
         assert nanogs.draw_cost(source, pixels=96, views=3, threads=2) == in_memory
     assert nanogs.draw_cost(tmp_path / "a.npz", pixels=96, views=3, max_memory="1GB") == in_memory

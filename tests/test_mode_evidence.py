@@ -120,7 +120,7 @@ def test_a_model_that_is_read_in_parts_has_the_same_evidence(tmp_path, monkeypat
         return evidence_on(source_or_model, *view_options, max_memory, lambda _done, _parts: None)
 
     in_memory = evidence(model, None)
-    monkeypatch.setattr("nanogs.views.streamed.BLOCK_ROWS", 64)
+    monkeypatch.setattr("nanogs.views.streamed.DRAWN_ROWS", 64)
     with nanogs.open(tmp_path / "a.npz") as source:
         assert evidence(source, LEAST) == in_memory
     tagged = evidence(replace(model, render_mode=RenderMode.MIP), None)

@@ -87,7 +87,7 @@ def cameras(splats):
 @pytest.mark.parametrize("rows", [100, 1 << 15])
 @pytest.mark.parametrize("budget", [120_000, 150_000, 600_000, 10_000_000])
 def test_a_source_renders_like_the_whole_model(splats, cameras, budget, rows, monkeypatch):
-    monkeypatch.setattr(streamed, "BLOCK_ROWS", rows)
+    monkeypatch.setattr(streamed, "DRAWN_ROWS", rows)
     rendered, passes = render_streamed(splats, cameras, budget, background=(0.2, 0.5, 1.0))
     assert_same(rendered, render_whole(splats, cameras, background=(0.2, 0.5, 1.0)))
     assert any(each.alpha.any() for each in rendered)
@@ -104,7 +104,7 @@ def test_any_budget_and_block_size_render_the_same_pixels(seed, rows, budget, wi
     splats = replace(splats, render_mode=mode)
     cameras = automatic_cameras(splats, 2, width=width, height=height)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(streamed, "BLOCK_ROWS", rows)
+        patch.setattr(streamed, "DRAWN_ROWS", rows)
         try:
             made, _ = render_streamed(splats, cameras, budget)
         except NotEnoughMemoryError:
@@ -165,7 +165,7 @@ def test_without_cameras_or_with_an_invalid_one_nothing_is_read(splats, cameras)
 
 def test_blocks_outside_a_part_of_the_picture_are_not_read_again(splats, cameras, monkeypatch):
     """Rows are sorted from left to right, and the picture is rendered in several parts."""
-    monkeypatch.setattr(streamed, "BLOCK_ROWS", 50)
+    monkeypatch.setattr(streamed, "DRAWN_ROWS", 50)
     finite = splats.take(splats.finite() & (splats.log_scales.max(axis=1) < -1.5))
     across = finite.means @ cameras[0].world_to_camera[0, :3]
     ordered = finite.take(np.argsort(across, kind="stable"))

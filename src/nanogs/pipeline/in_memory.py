@@ -171,8 +171,8 @@ class CheckedModel:
             clock: The seconds of the stages.
             start: `time.perf_counter()` at the start.
         """
-        entries = {each.name: getattr(outcome, each.name) for each in fields(outcome)}
-        del entries["splats"]
+        reported = {each.name: getattr(outcome, each.name) for each in fields(outcome)}
+        del reported["splats"]
         return SimplifyReport(
             preset=self.preset,
             parameters=asdict(self.parameters),
@@ -188,7 +188,7 @@ class CheckedModel:
             seconds=clock.seconds,
             total_seconds=time.perf_counter() - start,
             threads=threads,
-            **entries | {"notes": (*self.splats.notes, *outcome.notes)},
+            **reported | {"notes": (*self.splats.notes, *outcome.notes)},
         )
 
 

@@ -52,10 +52,10 @@ class Outcome:
 def outcome_of(scene: "OneBlock") -> Outcome:
     """Return the result of a model in memory, with report data."""
     stop = StopReason.TARGET if scene.target(0) == scene.asked else scene.forest.stop
-    return Outcome(splats=scene.part(0, 0), stop=stop, **entries_of(scene, 0))
+    return Outcome(splats=scene.part(0, 0), stop=stop, **report_fields(scene, 0))
 
 
-def entries_of(scene: "Scene", level: int) -> dict[str, Any]:
+def report_fields(scene: "Scene", level: int) -> dict[str, Any]:
     """Return the report fields that the stages determine, by name.
 
     Args:

@@ -53,14 +53,14 @@ class Done:
         work: The job, with all records cached.
         kept: Number of tasks that an earlier run had done.
         levels: Levels of the results that are delivered.
-        entries: Report fields that a search has found, by name.
+        fields: Report fields that a search has found, by name.
         notes: Other notes, one sentence each.
     """
 
     work: Work
     kept: int
     levels: Sequence[int]
-    entries: Mapping[str, Any] = field(default_factory=dict)
+    fields: Mapping[str, Any] = field(default_factory=dict)
     notes: Sequence[str] = ()
 
 

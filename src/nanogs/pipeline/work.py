@@ -113,7 +113,7 @@ class Work(Scene):
             found = read_record(self.scratch, name)
             if found is None:
                 raise OutputError(
-                    f"{name} of the job was not found in {self.scratch.shown}; name a place with"
+                    f"{name} of the job was not found in {self.scratch.label}; name a place with"
                     " `scratch` where the caller and all workers see the same files."
                 )
             self.known[name] = found

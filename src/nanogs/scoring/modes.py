@@ -285,10 +285,10 @@ def _splats_in_sight(model: Splats | Source, cameras: "Sequence[Camera]") -> tup
 
     from nanogs.kernels.project import DILATION, HIDDEN
     from nanogs.raster.rendering import prepare, project_rows
-    from nanogs.views.streamed import BLOCK_ROWS
+    from nanogs.views.streamed import DRAWN_ROWS
 
     seen = thin = faded = 0
-    for rows in source_of(model).blocks(BLOCK_ROWS):
+    for rows in source_of(model).blocks(DRAWN_ROWS):
         least = rows.scales().min(axis=1, initial=np.inf).astype(np.float64)
         prepared = prepare(replace(rows, render_mode=RenderMode.DEFAULT))
         for camera in cameras:

@@ -37,7 +37,7 @@ class UrlScratch:
         return self._address.url
 
     @property
-    def shown(self) -> str:
+    def label(self) -> str:
         """The URL without user and password."""
         return str(self._address)
 
@@ -48,7 +48,7 @@ class UrlScratch:
 
     def prepare(self) -> None:
         """Make the folder, and try to write, read and delete there before anything is computed."""
-        with self._reached(f"{self.shown} cannot be written to"):
+        with self._reached(f"{self.label} cannot be written to"):
             if self.has_folders:
                 new = sum(not self.files.exists(parent) for parent in self._parents())
                 self.files.makedirs(self.root, exist_ok=True)
@@ -57,12 +57,12 @@ class UrlScratch:
         self.write(_PROBE, [np.zeros(1, np.uint8)])
         with self.open(_PROBE) as file:
             file.read()
-        with self._reached(f"Nothing can be deleted in {self.shown}"):
+        with self._reached(f"Nothing can be deleted in {self.label}"):
             self.files.rm_file(f"{self.root}/{_PROBE}")
 
     def write(self, name: str, parts: Iterable[Array]) -> tuple[int, str]:
         """Upload a file, whole or not at all; see `Scratch.write`."""
-        with self._reached(f"{self.shown}/{name} cannot be written"):
+        with self._reached(f"{self.label}/{name} cannot be written"):
             file = self.files.open(f"{self.root}/{name}", "wb", block_size=_UPLOAD)
             try:
                 written = write_hashed(file, parts)
@@ -77,7 +77,7 @@ class UrlScratch:
         """Open a file to read and seek in; see `Scratch.open`."""
         path = f"{self.root}/{name}"
         if size is None:
-            with self._reached(f"{self.shown}/{name} cannot be read", missing=True):
+            with self._reached(f"{self.label}/{name} cannot be read", missing=True):
                 self.files.invalidate_cache()  # other processes write too
                 size = int(self.files.size(path))
         return cast("BinaryIO", _Ranges(self, path, size))
@@ -89,14 +89,14 @@ class UrlScratch:
 
     def discard(self, beginnings: tuple[str, ...]) -> None:
         """Delete all files written here whose names begin with one of `beginnings`."""
-        with self._reached(f"Nothing can be deleted in {self.shown}"):
+        with self._reached(f"Nothing can be deleted in {self.label}"):
             for path in self._names(SUFFIXES):
                 if path.rpartition("/")[2].startswith(beginnings):
                     self.files.rm_file(path)
 
     def remove(self) -> None:
         """Delete all files written here, and the folder; see `Scratch.remove`."""
-        with self._reached(f"{self.shown} cannot be emptied"):
+        with self._reached(f"{self.label} cannot be emptied"):
             self._abort()
             paths, made = self._names(SUFFIXES), 0
             for path in paths:
@@ -111,7 +111,7 @@ class UrlScratch:
 
     def tidy(self) -> None:
         """Delete temporary files and abort unfinished uploads of killed writers."""
-        with self._reached(f"{self.shown} cannot be tidied"):
+        with self._reached(f"{self.label} cannot be tidied"):
             self._abort()
             for path in self._names((".tmp",)):
                 self.files.rm_file(path)

@@ -31,7 +31,7 @@ class Scratch(Protocol):
         """The folder or URL, as `open_scratch` takes it."""
 
     @property
-    def shown(self) -> str:
+    def label(self) -> str:
         """The folder or URL for messages, without secrets."""
 
     @property
@@ -88,7 +88,7 @@ class FolderScratch:
         return str(self.folder)
 
     @property
-    def shown(self) -> str:
+    def label(self) -> str:
         """The folder."""
         return str(self.folder)
 

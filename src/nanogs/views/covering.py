@@ -16,7 +16,7 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, project_rows
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
-from nanogs.views.streamed import BLOCK_ROWS
+from nanogs.views.streamed import DRAWN_ROWS
 
 SHARE = 0.99  # quantile of the pixels for `DrawCost.most_a_pixel`
 
@@ -45,9 +45,9 @@ def cost_on(
     counts: list[I32] = [np.zeros((each.height, each.width), np.int32) for each in cameras]
     sizes: Counter[int] = Counter()  # splats by their tile pairs in all views together
     drawn, most = 0, source.count
-    for start in range(0, most, BLOCK_ROWS):
+    for start in range(0, most, DRAWN_ROWS):
         on_progress(start, most)
-        block = prepare(source.read(start, min(start + BLOCK_ROWS, most)))
+        block = prepare(source.read(start, min(start + DRAWN_ROWS, most)))
         pairs = np.zeros(len(block), np.int64)
         for camera, covered in zip(cameras, counts, strict=True):
             geometry, _, boxes = project_rows(block, camera, sh_degree=0)

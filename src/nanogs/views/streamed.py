@@ -37,7 +37,7 @@ from nanogs.source import Source, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.arena import Arena
 
-BLOCK_ROWS = 1 << 15  # rows of a block
+DRAWN_ROWS = 1 << 15  # rows that are drawn at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -305,11 +305,11 @@ class _Drawing:
     def _gather(self, parts: Sequence[Part]) -> _Pass:
         """Read the source once, and gather some parts, or as many of the first as fit."""
         passed, count = _Pass(self._arena, parts, self._extents), self._source.count
-        for number, start in enumerate(range(0, count, BLOCK_ROWS)):
+        for number, start in enumerate(range(0, count, DRAWN_ROWS)):
             coming = passed.gathering[-1].part.view - self._done
             self._on_progress(self._done + coming * start / count, len(self._cameras))
             if passed.wants(number):
-                block = prepare(self._source.read(start, min(start + BLOCK_ROWS, count)))
+                block = prepare(self._source.read(start, min(start + DRAWN_ROWS, count)))
                 self._skipped[number] = block.skipped
                 passed.add(number, block, self._cameras)
         return passed

@@ -9,7 +9,7 @@ from nanogs.filters import FilterReport, filter_of
 from nanogs.findings import join_findings, of_plain
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.options.target import Goal
-from nanogs.pipeline.outcome import entries_of
+from nanogs.pipeline.outcome import report_fields
 from nanogs.pipeline.run import Done
 from nanogs.report import BlocksReport, SimplifyReport, StopReason
 from nanogs.sink import Written
@@ -47,13 +47,13 @@ def report_of(
     # because it repeats a block's finer level that has fewer splats.
     made = sum(map(count_of, work.delivered(level)))
     stop = StopReason.TARGET if target in (written.splats, made) else StopReason.NO_PROGRESS
-    entries = {
+    reported = {
         "stop": stop,
         **written.measured,
-        **entries_of(work, level),
-        **done.entries,
+        **report_fields(work, level),
+        **done.fields,
     }
-    notes = (*settings.layout.notes, *own_notes, *entries["notes"], *done.notes, *written.notes)
+    notes = (*settings.layout.notes, *own_notes, *reported["notes"], *done.notes, *written.notes)
     return SimplifyReport(
         preset=preset,
         parameters=asdict(settings.parameters),
@@ -71,7 +71,7 @@ def report_of(
         seconds=clock.seconds,
         total_seconds=time.perf_counter() - start,
         threads=work.threads,
-        **{**entries, "notes": tuple(dict.fromkeys(notes))},
+        **{**reported, "notes": tuple(dict.fromkeys(notes))},
         blocks=BlocksReport(
             blocks=partition.blocks,
             largest=max(partition.count(block) for block in range(partition.blocks)),

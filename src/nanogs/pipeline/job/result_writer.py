@@ -90,7 +90,7 @@ class ResultWriter:
 
     def _make(self, done: Done, made: Path, progress: Tracker) -> list[Written]:
         try:
-            filling, work = self.sink.open(made, done.entries.get("format_options", {})), done.work
+            filling, work = self.sink.open(made, done.fields.get("format_options", {})), done.work
             on_progress: PartProgress = progress.part
             if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
                 filling.add_trees(trees_of(work), levels, even_sample(work), on_progress)

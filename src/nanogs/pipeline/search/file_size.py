@@ -33,7 +33,7 @@ WHOLE_FITS = "The whole model fits into the requested size; nothing was merged."
 Encode = Callable[[Splats], int]
 """Writes a model's file and returns its size in bytes."""
 Probe = SizeProbeReport | None
-Found = TypeVar("Found", Outcome, SimplifyReport)
+Reported = TypeVar("Reported", Outcome, SimplifyReport)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +93,14 @@ def whole_fits(*, left_out: bool) -> str:
 
 
 def with_ending_on_known(
-    found: Found,
+    found: Reported,
     size: int,
     count: int,
     available: int,
     file_bytes: Callable[[int], int],
     *,
     left_out: bool,
-) -> Found:
+) -> Reported:
     """Add why a count is the largest that fits, for formats of known file sizes.
 
     That is `stop`, unless something else ended the work, and a note if all splats fit or if much

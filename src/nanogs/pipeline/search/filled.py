@@ -39,7 +39,7 @@ def fill_size(packer: Packer[T]) -> Delivered[T]:
         left_out = packed.packing.sh_degree < packer.sample.sh_degree
         notes += (whole_fits(left_out=left_out),)
     fields = {"achieved_size": fitted.bytes, "size_probes": fitted.probes, "stop": fitted.stop}
-    return Delivered(result, fields | packed.entries(packer.files.count(result)), notes)
+    return Delivered(result, fields | packed.report_fields(packer.files.count(result)), notes)
 
 
 def _smallest(packer: Packer[T]) -> Packing:

@@ -107,7 +107,7 @@ class JobResults(Results[Result]):
             facts = work.record(task).facts
             if facts[COUNT] != count:
                 raise OutputError(
-                    f"{work.scratch.shown} belongs to another search, which tried"
+                    f"{work.scratch.label} belongs to another search, which tried"
                     f" {facts[COUNT]:,} splats and not {count:,}; remove the job's folder."
                 )
             self.tried.made.append(result)

@@ -46,7 +46,7 @@ class Packed:
     tight: bool = False
     blind: bool = False
 
-    def entries(self, count: int) -> dict[str, Any]:
+    def report_fields(self, count: int) -> dict[str, Any]:
         """Return the report fields on how a result of `count` splats is packed."""
         return {"packings": self.packings, "format_options": self.packing.options(count)}
 
@@ -142,7 +142,7 @@ class Packer(Generic[T]):
         packing, plain = replace(choices.first, share=None), self.results.plain(rounds=0)
         count = self.guess(choices.first)
 
-        def shown(share: float) -> PackingReport:
+        def made(share: float) -> PackingReport:
             some = self.deliverable(round(share * count))
             part = self.progress.within(0, PACKINGS, plain.stages(some))
             _, found = plain.make_and_measure(
@@ -150,7 +150,7 @@ class Packer(Generic[T]):
             )
             return PackingReport(**found)
 
-        return slope_of(choices, *map(shown, CUTS))
+        return slope_of(choices, *map(made, CUTS))
 
     def _attempt(
         self, packing: Packing, count: int, measure_files: MeasureFiles
@@ -240,9 +240,9 @@ class PackingForPsnr(Generic[T]):
         """Return the format options that a result is packed with."""
         return self.packed.packing.options(self.files.count(result)) if self.packed else {}
 
-    def entries(self, result: T) -> dict[str, Any]:
+    def report_fields(self, result: T) -> dict[str, Any]:
         """Return the report fields on how a result is packed; empty if nothing was chosen."""
-        return self.packed.entries(self.files.count(result)) if self.packed else {}
+        return self.packed.report_fields(self.files.count(result)) if self.packed else {}
 
     @property
     def notes(self) -> tuple[str, ...]:

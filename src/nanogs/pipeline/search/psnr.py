@@ -204,7 +204,7 @@ def search_psnr(pack: PackingForPsnr[T], asked: float, views: HeldOut) -> Delive
         pack.packed = None
     results.verify(result, progress)
     fields = {"probes": found.probes, "stop": found.stop, "judged": measured(result, views.judge)}
-    return Delivered(result, fields | pack.entries(result), pack.notes)
+    return Delivered(result, fields | pack.report_fields(result), pack.notes)
 
 
 def reach_psnr(
