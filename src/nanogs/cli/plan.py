@@ -21,7 +21,7 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.pipeline.api import target_of
 from nanogs.pipeline.estimates.block_plan import ScalePlan
 from nanogs.pipeline.estimates.memory import MemoryPlan
-from nanogs.pipeline.in_blocks import block_memory, count_of, plan_job
+from nanogs.pipeline.in_blocks import block_memory, plan_job
 from nanogs.pipeline.in_memory import import_stages, usable_rows
 from nanogs.pipeline.job.cluster import executor_of
 from nanogs.pipeline.job.folder import MANIFEST
@@ -119,7 +119,7 @@ class Plan:
             settings, blocks = self._divide()
             left = None
             if settings.search is None:
-                left = count_of(request.goal, blocks.splats, settings.result_layout, request.sizer)
+                left = request.counts(blocks.splats, settings.result_layout)[0]
             info = replace(self.info, splats=blocks.splats)
             return replace(self, blocks=blocks, info=info, count=left, usable=blocks.splats)
         if not self.read:

@@ -13,7 +13,7 @@ from nanogs.defaults import DEFAULT_MEMORY
 from nanogs.errors import CrowdedError, ModelError, OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.io import registry
-from nanogs.io.format import Sizer, options_text
+from nanogs.io.format import options_text
 from nanogs.io.urls import is_url
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
@@ -31,7 +31,6 @@ from nanogs.pipeline.job.rows import (
 )
 from nanogs.pipeline.options.presets import parameters, renders
 from nanogs.pipeline.options.settings import SearchTarget, Settings
-from nanogs.pipeline.options.target import Goal, count_for_size, target_count
 from nanogs.pipeline.tasks.unpack import cost_of
 from nanogs.progress import Progress
 from nanogs.protocol import PIXELS, VIEWS
@@ -77,7 +76,7 @@ def fill_in_blocks(
 
     allowed = request.max_memory if max_memory is None else max_memory
     if settings.search is None:
-        most = count_of(goals[0], settings.splats, settings.result_layout, request.sizer)
+        most = request.counts(settings.splats, settings.result_layout)[0]
         sink.refuse_large(most, row_bytes(settings.layout), allowed)
     else:
         registry.writer(request.output)
@@ -176,7 +175,7 @@ def plan_job(
             there is not enough memory.
     """
     chosen = block_parameters(request.preset, request.overrides)
-    changes, goals = request.changes, request.goals
+    changes = request.changes
     changes.check()
     inputs, layout = describe_inputs(request.inputs, changes)
     allowed = request.max_memory if max_memory is None else max_memory
@@ -192,7 +191,7 @@ def plan_job(
 
     def planned(splats: int) -> ScalePlan:
         # A search may try any count, and keeps the files of two results at a time.
-        counts = [count_of(goal, splats, delivered, request.sizer) for goal in goals if not sought]
+        counts = [] if sought else request.counts(splats, delivered)
         shares = tuple(count / splats for count in counts) or (1.0, 1.0)
         given = max_memory, block, request.chunks, beside, reason
         return plan_blocks(splats, layout, chosen, shares, *given, searched=sought is not None)
@@ -202,13 +201,13 @@ def plan_job(
     sieve = count_filtered(inputs, layout, changes.filters)
     if sieve:
         plan = planned(sieve.left[-1])
-    counted = () if sought else tuple(goal for goal in goals if goal.ratio is None)
+    counted = not sought and request.goal.ratio is None
     settings = Settings(
         inputs=inputs,
         layout=layout,
         segments=segments_of(plan.splats, plan.segment),
-        ratios=tuple(goal.ratio for goal in goals if goal.ratio is not None),
-        counts=tuple(count_of(goal, plan.splats, delivered, request.sizer) for goal in counted),
+        ratios=tuple(goal.ratio for goal in request.goals if goal.ratio is not None),
+        counts=tuple(request.counts(plan.splats, delivered)) if counted else (),
         nan=request.nan,
         block=plan.block,
         parameters=chosen,
@@ -261,7 +260,7 @@ def search_target(
     if goal.size is not None and request.sizer is not None:
         if request.sizer(no_splats(layout), splats) <= goal.size:
             return None
-        count_of(goal, 1, layout.reduced(0), request.sizer)
+        request.counts(1, layout.reduced(0))
     options = options_text(request.format_options)
     most = _held_whole(request, layout, max_memory)
     return SearchTarget(goal.size, goal.psnr, request.suffix, options, goal.draw_cost, most)
@@ -276,24 +275,6 @@ def _held_whole(request: "Request", layout: Layout, max_memory: int | None) -> i
     return most
 
 
-def count_of(goal: Goal, splats: int, layout: Layout, sizer: Sizer | None) -> int:
-    """Return the number of splats of a result, from a ratio, a count, or a predictable size.
-
-    Args:
-        goal: The target of the simplification.
-        splats: Number of splats of the model.
-        layout: Columns of the result.
-        sizer: Computes the bytes of a file, see `registry.sizer`; needed for a size.
-
-    Raises:
-        OptionError: Not even one splat fits, or the model has fewer splats than are asked for.
-    """
-    if goal.size is None or sizer is None:
-        return target_count(splats, goal.ratio, goal.count)
-    like = no_splats(layout)
-    return count_for_size(splats, goal.size, lambda count: sizer(like, count))
-
-
 def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:
     """Raise if the disk has no room for the intermediate files; a URL is not checked.
 
@@ -305,9 +286,9 @@ def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None
     Raises:
         OutputError: There is not enough free space.
     """
-    place = folder.absolute() if scratch is None else Path(scratch).absolute()
     if scratch is not None and is_url(scratch):
         return
+    place = (folder if scratch is None else Path(scratch)).absolute()
     while not place.exists() and place != place.parent:
         place = place.parent
     free = shutil.disk_usage(place).free

@@ -40,15 +40,16 @@ from nanogs.pipeline.options.presets import (
 from nanogs.pipeline.options.target import (
     Goal,
     chooses_packing,
+    count_for_size,
     is_searched,
     shared_in_file,
     target_count,
 )
 from nanogs.pipeline.options.views import requested_views
 from nanogs.ranges import as_switch, is_number
-from nanogs.source import Joined
+from nanogs.source import Joined, Layout
 from nanogs.splats import Splats, check_degree
-from nanogs.store.columns import row_bytes
+from nanogs.store.columns import no_splats, row_bytes
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -192,6 +193,21 @@ class Request:
         free = degree if self.sh_degree is None else 0
         known, looks = registry.writable(self.output), renders(self.parameters)
         return is_searched(self.goal, known, degree=free, looks=looks)
+
+    def counts(self, splats: int, layout: Layout) -> list[int]:
+        """Return the number of splats of each result, if a search is not needed to find it.
+
+        Args:
+            splats: Number of splats of the model.
+            layout: Columns of the results.
+
+        Raises:
+            OptionError: Not even one splat fits, or the model has fewer splats than are asked for.
+        """
+        if self.goal.size is None or (sizer := self.sizer) is None:
+            return [target_count(splats, goal.ratio, goal.count) for goal in self.goals]
+        like = no_splats(layout)
+        return [count_for_size(splats, self.goal.size, lambda count: sizer(like, count))]
 
     @property
     def folder(self) -> Path:
