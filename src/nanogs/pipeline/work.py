@@ -70,7 +70,7 @@ from nanogs.splats import Splats
 from nanogs.store.columns import (
     CODES,
     columns_of,
-    empty_columns,
+    count_of,
     read_rows,
     sorted_columns,
     splats_of,
@@ -79,7 +79,6 @@ from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table, read_record, write_table
 from nanogs.views.light import SHOWN
 
-UNPACK = "unpack"
 BEGUN = Task("job")  # written by the caller: a worker that cannot read it sees another folder
 VIEW_SAMPLE, SHORT_RUN = 1 << 18, 32  # rows of the original that cameras are placed by, in runs
 
@@ -132,7 +131,7 @@ class Work(Scene):
     def unpacked(self) -> Unpacked:
         """Return the input files that have been unpacked."""
         files = enumerate(self.settings.unpacked)
-        return Unpacked(self.scratch, {file: self.record(Task(UNPACK, i)) for i, file in files})
+        return Unpacked(self.scratch, {file: self.record(Task("unpack", i)) for i, file in files})
 
     def segments(self) -> list[Record]:
         """Return the records of the sorted segments."""
@@ -151,6 +150,10 @@ class Work(Scene):
         """Return the records of a level's splats in their final form, one for each block."""
         return self.of_blocks("fit" if self.fits(level) else "part", level)
 
+    def delivered_count(self, level: int) -> int:
+        """Return the number of these: more than `target` if blocks cannot be cut as far."""
+        return sum(map(count_of, self.delivered(level)))
+
     def read(
         self, block: int, columns: dict[str, Array], at: int = 0, rows: I64 | None = None
     ) -> int:
@@ -166,7 +169,7 @@ class Work(Scene):
         """
         layout = layout or self.settings.layout
         count = self.partition.count(block)
-        columns = with_codes(empty_columns(layout, count), count)
+        columns = with_codes(layout, count)
         wanted = dict(columns)
         if layout is not self.settings.layout:
             columns["sh"][:] = 0
@@ -276,7 +279,7 @@ class Work(Scene):
         given = self._handed_to(block, level)
         own = self.partition.count(block)
         count = own + sum(stop - start for _, start, stop in given)
-        columns = with_codes(empty_columns(self.settings.layout, count), count)
+        columns = with_codes(self.settings.layout, count)
         by_row = np.empty(count, np.int32)
         self.read(block, columns)
         if self.looks:
@@ -369,7 +372,7 @@ class Work(Scene):
         own = self.partition.count(block)
         halo = find_halo(self.scratch, cuts, block, own)
         count = own + sum(len(each.rows) for each in halo)
-        columns = with_codes(empty_columns(settings.layout, count), count)
+        columns = with_codes(settings.layout, count)
         self.read(block, columns)
         at = own
         for each in halo:

@@ -45,7 +45,7 @@ def report_of(
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
     # Few splats are merged from blocks that have more; and a tree may have fewer than all blocks,
     # because it repeats a block's finer level that has fewer splats.
-    made = sum(map(count_of, work.delivered(level)))
+    made = work.delivered_count(level)
     stop = StopReason.TARGET if target in (written.splats, made) else StopReason.NO_PROGRESS
     reported = {
         "stop": stop,

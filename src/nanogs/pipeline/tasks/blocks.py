@@ -10,8 +10,9 @@ from nanogs._types import F64, I32, I64, Array
 from nanogs.method.nodes import LIGHTEST, Nodes, activate_nodes, prominence, without_coverages
 from nanogs.pipeline.tasks.partition import Partition
 from nanogs.pipeline.tasks.units import Units
+from nanogs.source import Layout
 from nanogs.splats import Splats
-from nanogs.store.columns import CODES, read_rows
+from nanogs.store.columns import CODES, empty_columns, read_rows
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table
 from nanogs.views.light import visible_weights
@@ -112,6 +113,6 @@ def leaves_of(
     return without_coverages(nodes) if growing else nodes
 
 
-def with_codes(columns: dict[str, Array], count: int) -> dict[str, Array]:
-    """Return the columns plus an uninitialised column for `count` Morton codes."""
-    return columns | {CODES: np.empty(count, np.uint64)}
+def with_codes(layout: Layout, count: int) -> dict[str, Array]:
+    """Return uninitialised columns for `count` splats and their Morton codes."""
+    return empty_columns(layout, count) | {CODES: np.empty(count, np.uint64)}

@@ -19,7 +19,7 @@ from nanogs.pipeline.tasks.parts import LevelSource
 from nanogs.source import Layout, Source, turned_source
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats
-from nanogs.store.columns import columns_of, count_of, empty_columns, splats_of
+from nanogs.store.columns import columns_of, empty_columns, splats_of
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Streamed, Table, write_table
 
@@ -35,7 +35,7 @@ _SPLATS, _CHILDREN, _ROOT = "splats-", "children-", "root-"
 def linked_levels(work: "Work") -> int:
     """Return the number of levels that are linked block by block: those blocks can be cut to."""
     levels = range(work.settings.levels)
-    return sum(_count(work, level) <= work.target(level) for level in levels)
+    return sum(work.delivered_count(level) <= work.target(level) for level in levels)
 
 
 def write_tree(work: "Work", task: Task) -> Record:
@@ -44,7 +44,7 @@ def write_tree(work: "Work", task: Task) -> Record:
     if levels < work.settings.levels:
         levels += 1  # the coarsest that blocks can be cut to; coarser levels are merged from it
     else:
-        while _count(work, levels - 1) > _ROOTS * TOGETHER**steps:
+        while work.delivered_count(levels - 1) > _ROOTS * TOGETHER**steps:
             steps += 1
     some, linked = even_sample(work), work.settings.linked
     with ExitStack() as stack:
@@ -72,10 +72,6 @@ def even_sample(work: "Work") -> Splats:
         starts = np.linspace(0, parts.count - long, _STRETCHES).astype(np.int64)
         read = [_turned(work, parts).read(start, start + long) for start in np.unique(starts)]
     return replace(joined_rows(read), extras={}, notes=())
-
-
-def _count(work: "Work", level: int) -> int:
-    return sum(map(count_of, work.delivered(level)))
 
 
 def _turned(work: "Work", source: Source) -> Source:

@@ -89,7 +89,7 @@ def write_rest(work: "Work", task: Task) -> Record:
     before. The table has no columns if nothing was left to do.
     """
     records, target = work.delivered(task.level), work.target(task.level)
-    if sum(map(count_of, records)) <= target:
+    if work.delivered_count(task.level) <= target:
         return write_table(work.scratch, task.name, {}, {BOUNDS: None})
     parts = [read_part(work.scratch, work.settings.result_layout, record) for record in records]
     small = simplify_further(concatenate(parts), target, work.settings, work.threads)
