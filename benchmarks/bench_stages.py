@@ -194,8 +194,8 @@ def test_cut(timed: Timed, scene: Scene) -> None:
 
 
 def test_reassign(timed: Timed, scene: Scene) -> None:
-    leaves, dilation = scene["leaves"], scene["pixel"]
-    blurs = dilation.blurs(dilation.distances(leaves.means))
+    leaves = scene["leaves"]
+    blurs = scene["pixel"].blurs(leaves.means)
     timed(
         lambda: reassign(leaves, scene["labels"], scene["target"], 1, blurs),
         leaves.means, leaves.covariances, leaves.features,

@@ -44,12 +44,16 @@ class Dilation:
         """Return the (N,) float64 standard deviation of the dilation at (N, 3) float64 centres."""
         return self.added(self.distances(means))
 
-    def blurs(self, distances: F64) -> F32:
-        """Return the (N,) float32 deviations by which shapes are blurred before they are compared.
+    def blurs(self, means: F64) -> F32:
+        """Return the (N,) float32 blur of shapes at (N, 3) float64 centres when they are compared.
 
-        What is smaller than a pixel cannot be told apart, but a viewer may come nearer: half of the
-        dilation is taken, that of a view from half the distance.
+        It is a standard deviation. What is smaller than a pixel cannot be told apart, but a viewer
+        may come nearer: half of the dilation is taken, that of a view from half the distance.
         """
+        return self.blurs_at(self.distances(means))
+
+    def blurs_at(self, distances: F64) -> F32:
+        """Return the (N,) float32 blur of shapes at distances from viewers; see `blurs`."""
         return (self.added(distances) * BLUR).astype(np.float32)
 
     def distances(self, means: F64) -> F64:

@@ -114,7 +114,7 @@ def activate_nodes(
     if coverages is None:
         coverages = _coverages(splats, rows, covariances, dilation.added(distances))
     if blurred:
-        widen(covariances, squared(dilation.blurs(distances)))
+        widen(covariances, squared(dilation.blurs_at(distances)))
     features = np.ascontiguousarray(splats.sh).reshape(len(splats), -1)
     weights = normalised(coverages * dilation.nearness_at(distances))
     return Nodes(weights, coverages, means, covariances, features, rows)

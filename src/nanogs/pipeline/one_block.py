@@ -328,8 +328,7 @@ class OneBlock(Scene):
         self._labels, self._corrected = {f"cut {self.picked(level)}": labels}, {}
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
-        dilation = self.placement.dilation
-        blurs = dilation.blurs(dilation.distances(self._leaves.means))
+        blurs = self.placement.dilation.blurs(self._leaves.means)
         found, done = reassign(self._leaves, labels, groups, rounds, blurs)
         self._labels["settled"] = found
         return self.write(name, {}, {ROUNDS: done})

@@ -77,7 +77,7 @@ def settled(area: BlockWithHalo, rounds: int, dilation: Dilation) -> Settled:
     weights = np.empty(area.own)
     before[rows], weights[rows] = area.labels[own], area.leaves.weights[own]
     total = area.groups + sum(len(each.groups) for each in area.halo)
-    blurs = dilation.blurs(dilation.distances(area.leaves.means))
+    blurs = dilation.blurs(area.leaves.means)
     moved, done = reassign(area.leaves, area.labels, total, rounds, blurs)
     after[rows] = moved[own]
     keep_every_group(after, before, weights, area.groups)
