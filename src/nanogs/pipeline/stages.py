@@ -22,13 +22,13 @@ from nanogs.pipeline.estimates.stage_weights import (
     looking_seconds,
 )
 from nanogs.pipeline.options.presets import renders
-from nanogs.pipeline.options.settings import COARSE_SHARES, Settings
+from nanogs.pipeline.options.settings import COARSE_SHARES, Settings, most_coarse
 from nanogs.pipeline.options.target import target_count
 from nanogs.pipeline.scene import SUMS, Scene, Task
 from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.budget import budget
 from nanogs.pipeline.tasks.chunked import write_cells, write_chunks
-from nanogs.pipeline.tasks.coarse import outline_counts, write_coarse
+from nanogs.pipeline.tasks.coarse import write_coarse
 from nanogs.pipeline.tasks.corrections import correct
 from nanogs.pipeline.tasks.cuts import write_cut
 from nanogs.pipeline.tasks.fitting import fit_part
@@ -170,10 +170,12 @@ def _rough(work: Work, task: Task) -> Record:
 
 
 def _outline(work: Work, task: Task) -> Record:
-    wanted, groups = outline_counts(work.settings, work.partition.blocks), []
-    if work.partition.blocks > 1:
+    settings, blocks, groups = work.settings, work.partition.blocks, []
+    if blocks > 1:
         rough = work.of_blocks("rough")
-        groups = [budget(work.scratch, rough, count) for count in wanted]
+        for level in range(len(COARSE_SHARES)):
+            count = max(most_coarse(level, settings.block, settings.splats), blocks)
+            groups.append(budget(work.scratch, rough, count))
     return write_table(work.scratch, task.name, {}, {"groups": groups})
 
 

@@ -75,7 +75,7 @@ class Search:
             looks=renders(settings.parameters),
             most=sought.most,
         )
-        results, files = JobResults.of(work, run), _Files(self, work, run.clock)
+        results, files = JobResults(work, run, settings), _Files(self, work, run.clock)
         if sought.size is not None:
             found = fill_size(Packer(results, request, _sample(work), files, progress))
         elif sought.psnr is not None:

@@ -48,7 +48,7 @@ class JobResults(Results[Result]):
     counts; it reuses the stored measurements, and need not make these results again.
 
     Attributes:
-        work: The job; the stages that all results share are done.
+        work: The job, which has no levels yet; the stages that all results share are done.
         run: Runs its tasks.
         settings: Settings of the results.
         tried: The results so far.
@@ -57,12 +57,7 @@ class JobResults(Results[Result]):
     work: Work
     run: Run
     settings: Settings
-    tried: _Tried
-
-    @classmethod
-    def of(cls, work: Work, run: Run) -> "JobResults":
-        """Make the results of a job that has no levels yet."""
-        return cls(work, run, work.settings, _Tried())
+    tried: _Tried = field(default_factory=_Tried)
 
     @property
     def available(self) -> int:

@@ -7,13 +7,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from nanogs.method.store import store_groups
-from nanogs.pipeline.options.settings import COARSE_SHARES, Settings, most_coarse
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.cuts import cut_block
 from nanogs.pipeline.tasks.parts import read_part
 from nanogs.raster.rendering import PreparedSplats, prepare
-from nanogs.splats import Splats, concatenate
+from nanogs.splats import concatenate
 from nanogs.store.columns import columns_of, count_of
 from nanogs.store.tables import Record, write_table
 
@@ -21,12 +20,6 @@ if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
 GROWTH = 1.5  # most that its splats are enlarged, so that they still hide what is behind them
-
-
-def outline_counts(settings: Settings, blocks: int) -> list[int]:
-    """Return the number of splats of each coarse level of a job, at least one for each block."""
-    levels = range(len(COARSE_SHARES))
-    return [max(most_coarse(n, settings.block, settings.splats), blocks) for n in levels]
 
 
 def write_coarse(work: "Work", task: Task) -> Record:
@@ -42,28 +35,22 @@ def write_coarse(work: "Work", task: Task) -> Record:
     return write_table(work.scratch, task.name, columns_of(stored.grown(GROWTH)), {})
 
 
-def coarse_scene(work: "Work", level: int, but: int | None = None) -> Splats | None:
-    """Read a coarse level of all blocks but one; None if the scene is a single block.
+def surroundings(work: "Work", block: int, level: int) -> PreparedSplats | None:
+    """Prepare all other blocks for rendering with a block; None if there are none.
 
     Args:
         work: The job; the coarse levels are done.
-        level: `FINE` or `ROUGH`.
-        but: Number of the block to leave out, or None.
+        block: Number of the block.
+        level: The coarse level that the others are read at, `FINE` or `ROUGH`.
     """
     if work.partition.blocks == 1:
         return None
     layout = work.settings.layout.bare()
-    records = work.of_blocks("coarse", level)
-    return concatenate(
+    others = concatenate(
         [
             read_part(work.scratch, layout, record)
-            for number, record in enumerate(records)
-            if number != but and count_of(record)
+            for number, record in enumerate(work.of_blocks("coarse", level))
+            if number != block and count_of(record)
         ]
     )
-
-
-def surroundings(work: "Work", block: int, level: int) -> PreparedSplats | None:
-    """Prepare a coarse level of all other blocks for rendering; None if there are none."""
-    scene = coarse_scene(work, level, block)
-    return None if scene is None else prepare(scene)
+    return prepare(others)
