@@ -30,8 +30,7 @@ from nanogs.lod.layout import Layout
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.in_memory import NanPolicy
-from nanogs.pipeline.job.rows import open_parts
-from nanogs.pipeline.reading import changed, read_parts
+from nanogs.pipeline.reading import changed, open_parts, read_parts
 from nanogs.pipeline.request import Request
 from nanogs.ranges import is_number, value_text
 from nanogs.report import SimplifyReport

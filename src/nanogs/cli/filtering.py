@@ -7,7 +7,7 @@ from nanogs.cli.console import warn
 from nanogs.cli.file_options import Edits
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
-from nanogs.pipeline.job.rows import Changes
+from nanogs.pipeline.reading import Changes
 from nanogs.splats import MAX_SH_DEGREE
 
 

@@ -27,10 +27,9 @@ from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import NanPolicy, import_stages
-from nanogs.pipeline.job.rows import open_parts
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, renders
 from nanogs.pipeline.options.target import Goal, chooses_packing
-from nanogs.pipeline.reading import read_changed, reading_stages
+from nanogs.pipeline.reading import open_parts, read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes

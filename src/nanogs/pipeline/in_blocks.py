@@ -24,13 +24,13 @@ from nanogs.pipeline.job.rows import (
     RUN_ROWS,
     count_filtered,
     describe_inputs,
-    open_parts,
     opened,
     refuse_large_whole,
     segments_of,
 )
 from nanogs.pipeline.options.presets import parameters, renders
 from nanogs.pipeline.options.settings import SearchTarget, Settings
+from nanogs.pipeline.reading import open_parts
 from nanogs.pipeline.tasks.unpack import cost_of
 from nanogs.progress import Progress
 from nanogs.protocol import PIXELS, VIEWS

@@ -9,7 +9,7 @@ import numpy as np
 
 from nanogs._types import I32
 from nanogs.clock import StageClock
-from nanogs.errors import NONE_USABLE, ModelError
+from nanogs.errors import NONE_USABLE, ModelError, OptionError
 from nanogs.formatting import counted
 from nanogs.io.files import splat_bytes
 from nanogs.io.format import Format, Sharing
@@ -17,7 +17,6 @@ from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.estimates.memory import plan_memory, plan_search
-from nanogs.pipeline.job.rows import check_nan
 from nanogs.pipeline.options.cameras import are_asked, refuse_unused_views
 from nanogs.pipeline.options.presets import Parameters, parameters, renders
 from nanogs.pipeline.options.target import Goal
@@ -219,6 +218,16 @@ def check_model(
         splats = splats.with_sh_degree(sh_degree)
     rows, asked = usable_rows(splats, nan), requested_views(cameras, up)
     return CheckedModel(splats, rows, preset, chosen, asked, sh_degree, sharing)
+
+
+def check_nan(nan: str) -> None:
+    """Refuse invalid values of `nan`, the treatment of splats with NaN or infinite values.
+
+    Raises:
+        OptionError: It is neither "drop" nor "error".
+    """
+    if nan not in ("drop", "error"):
+        raise OptionError(f"`nan` must be 'drop' or 'error', not {nan!r}.")
 
 
 def import_stages(chosen: Parameters) -> None:

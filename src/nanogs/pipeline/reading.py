@@ -1,18 +1,53 @@
 """Reading a model to be simplified: its parts are joined, unwanted splats and bands left out."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 from nanogs.clock import StageClock
-from nanogs.filters import FilterReport, apply
+from nanogs.errors import OptionError
+from nanogs.filters import Filter, FilterReport, apply, refuse_whole
 from nanogs.io import FileInfo, inspect, load
+from nanogs.io import open as open_model
+from nanogs.io.parts import FileSource
 from nanogs.pipeline.estimates.stage_weights import read_weight
-from nanogs.pipeline.job.rows import Changes, dropped_first, open_parts
+from nanogs.pipeline.options.views import AUTOMATIC, RequestedViews
 from nanogs.progress import Stage, Tracker
 from nanogs.source import Joined
-from nanogs.splats import Splats
+from nanogs.splats import RenderMode, Splats
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """Changes to a model besides making it smaller.
+
+    Attributes:
+        filters: Filters applied first, such as `nanogs.filters.box(low, high)`.
+        sh_degree: Highest degree of harmonics to keep, or None for all.
+        frame: Frames from and to which results are turned, or None.
+        asked: The views that were asked for.
+        render_mode: Render mode in place of the one in the files, or None.
+    """
+
+    filters: Sequence[Filter] = ()
+    sh_degree: int | None = None
+    frame: tuple[str, str] | None = None
+    asked: RequestedViews = AUTOMATIC
+    render_mode: RenderMode | None = None
+
+    def check(self) -> None:
+        """Refuse filters that are not possible in blocks.
+
+        Raises:
+            OptionError: A filter has to see the whole model, or is of a kind that no job records.
+        """
+        refuse_whole(self.filters)
+        if any(each.plain is None for each in self.filters):
+            raise OptionError(
+                "A model in blocks can be filtered only with the filters of nanogs.filters; apply"
+                " others to the model first."
+            )
 
 
 class ChangedModel(NamedTuple):
@@ -74,6 +109,14 @@ def changed(splats: Splats, changes: Changes) -> ChangedModel:
     return ChangedModel(left.with_sh_degree(degree), filtered, (dropped_first(degree),))
 
 
+def dropped_first(degree: int) -> str:
+    """Return the note on a model of which only the harmonics up to a degree are simplified."""
+    return (
+        f"Spherical harmonics above degree {degree} were dropped first; PSNR is against the model"
+        " without them."
+    )
+
+
 def inspect_parts(paths: Sequence[Path]) -> FileInfo:
     """Describe the files of a model: as the first file, with the splats and bytes of all.
 
@@ -105,3 +148,17 @@ def read_parts(paths: Sequence[Path], render_mode: str | None) -> Splats:
         return load(paths[0], render_mode=render_mode)
     with Joined(open_parts(paths, render_mode)) as source:
         return source.load()
+
+
+def open_parts(paths: Sequence[Path], render_mode: str | None) -> list[FileSource]:
+    """Open the files of a model, all with the given render mode if there is one.
+
+    Args:
+        paths: The files.
+        render_mode: As `nanogs.open` takes it.
+
+    Raises:
+        FormatError: One of them cannot be read.
+        OptionError: One of them cannot have that render mode.
+    """
+    return [open_model(path, render_mode=render_mode) for path in paths]

@@ -26,9 +26,8 @@ from nanogs.pipeline.estimates.memory import (
     plan_search,
     plan_writing,
 )
-from nanogs.pipeline.in_memory import NanPolicy
+from nanogs.pipeline.in_memory import NanPolicy, check_nan
 from nanogs.pipeline.job.folder import MANIFEST, job_folder, refuse_finished
-from nanogs.pipeline.job.rows import Changes, check_nan, open_parts
 from nanogs.pipeline.options.cameras import are_asked, refuse_unused_views
 from nanogs.pipeline.options.presets import (
     DEFAULT_PRESET,
@@ -46,6 +45,7 @@ from nanogs.pipeline.options.target import (
     target_count,
 )
 from nanogs.pipeline.options.views import requested_views
+from nanogs.pipeline.reading import Changes, open_parts
 from nanogs.ranges import as_switch, is_number
 from nanogs.source import Joined, Layout
 from nanogs.splats import Splats, check_degree

@@ -3,76 +3,25 @@
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
 
 from nanogs.errors import ModelError, OptionError
-from nanogs.filters import Filter, filter_of, refuse_whole
+from nanogs.filters import Filter, filter_of
 from nanogs.io import open as open_model
-from nanogs.io.parts import FileSource
 from nanogs.pipeline.job.inputs import Inputs, input_file
 from nanogs.pipeline.options.settings import Access, FilterCounts, InputFile, Segment, Settings
-from nanogs.pipeline.options.views import AUTOMATIC, RequestedViews
+from nanogs.pipeline.reading import Changes, dropped_first, open_parts
 from nanogs.pipeline.tasks.unpack import Unpacked
 from nanogs.source import Filtered, Joined, Layout, Source, fitted, joined_layout
 from nanogs.source.base import PAGE_ROWS
-from nanogs.splats import RenderMode, Splats, concatenate
+from nanogs.splats import Splats, concatenate
 
 RUN_ROWS, _MOST_RUNS, _LEAST_RUNS = 1024, 256, 16  # rows of a run; most and fewest runs
 _NEAR = 8  # runs are read together, gaps included, if that is at most this many times their rows
-
-
-@dataclass(frozen=True, slots=True)
-class Changes:
-    """Changes to a model besides making it smaller.
-
-    Attributes:
-        filters: Filters applied first, such as `nanogs.filters.box(low, high)`.
-        sh_degree: Highest degree of harmonics to keep, or None for all.
-        frame: Frames from and to which results are turned, or None.
-        asked: The views that were asked for.
-        render_mode: Render mode in place of the one in the files, or None.
-    """
-
-    filters: Sequence[Filter] = ()
-    sh_degree: int | None = None
-    frame: tuple[str, str] | None = None
-    asked: RequestedViews = AUTOMATIC
-    render_mode: RenderMode | None = None
-
-    def check(self) -> None:
-        """Refuse filters that are not possible in blocks.
-
-        Raises:
-            OptionError: A filter has to see the whole model, or is of a kind that no job records.
-        """
-        refuse_whole(self.filters)
-        if any(each.plain is None for each in self.filters):
-            raise OptionError(
-                "A model in blocks can be filtered only with the filters of nanogs.filters; apply"
-                " others to the model first."
-            )
-
-
-def dropped_first(degree: int) -> str:
-    """Return the note on a model of which only the harmonics up to a degree are simplified."""
-    return (
-        f"Spherical harmonics above degree {degree} were dropped first; PSNR is against the model"
-        " without them."
-    )
-
-
-def check_nan(nan: str) -> None:
-    """Refuse invalid values of `nan`, the treatment of splats with NaN or infinite values.
-
-    Raises:
-        OptionError: It is neither "drop" nor "error".
-    """
-    if nan not in ("drop", "error"):
-        raise OptionError(f"`nan` must be 'drop' or 'error', not {nan!r}.")
 
 
 def describe_inputs(
@@ -93,20 +42,6 @@ def describe_inputs(
         notes = (*layout.notes, dropped_first(changes.sh_degree))
         layout = replace(layout, sh_degree=changes.sh_degree, notes=notes)
     return tuple(map(input_file, map(open_model, paths))), layout
-
-
-def open_parts(paths: Sequence[Path], render_mode: str | None) -> list[FileSource]:
-    """Open the files of a model, all with the given render mode if there is one.
-
-    Args:
-        paths: The files.
-        render_mode: As `nanogs.open` takes it.
-
-    Raises:
-        FormatError: One of them cannot be read.
-        OptionError: One of them cannot have that render mode.
-    """
-    return [open_model(path, render_mode=render_mode) for path in paths]
 
 
 def count_filtered(
