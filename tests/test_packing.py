@@ -23,7 +23,7 @@ from nanogs.pipeline.options.presets import PRESETS, SEARCHED_STEPS, parameters,
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
 from nanogs.pipeline.run import brief
-from nanogs.pipeline.search.held_files import HeldFiles
+from nanogs.pipeline.search.files import HeldFiles
 from nanogs.pipeline.search.packing import (
     FIRST_SHARE,
     LARGER,

@@ -37,7 +37,7 @@ from nanogs.report import SimplifyReport, StopReason
 from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
 if TYPE_CHECKING:
-    from nanogs.pipeline.search.held_files import HeldFiles
+    from nanogs.pipeline.search.files import HeldFiles
     from nanogs.pipeline.search.size_request import SizeRequest
     from nanogs.views.cameras import Cameras
 
@@ -142,7 +142,7 @@ def simplify(
     frame = checked_frames(frame)
     # Imported here because this imports Numba, which `--help` and `info` do without.
     from nanogs.pipeline.estimates.durations import simplify_stages
-    from nanogs.pipeline.search.held_files import HeldFiles
+    from nanogs.pipeline.search.files import HeldFiles
     from nanogs.threads import use_threads
 
     with (

@@ -252,7 +252,7 @@ class Request:
         """
         if self.goal.size is None:
             return
-        from nanogs.pipeline.search.held_files import HeldFiles
+        from nanogs.pipeline.search.files import HeldFiles
         from nanogs.pipeline.search.size_request import SizeRequest
 
         known, given = registry.writable(self.output), self.format_options or {}

@@ -12,8 +12,8 @@ from nanogs.costs import DrawCost
 from nanogs.errors import TooSmallError
 from nanogs.formatting import counted
 from nanogs.pipeline.estimates.stage_weights import COUNTS
+from nanogs.pipeline.search.files import Files
 from nanogs.pipeline.search.results import Attempts, Delivered, Results, T
-from nanogs.pipeline.search.size_request import Files
 from nanogs.progress import Stage, Tracker
 from nanogs.report import DrawProbeReport, StopReason
 from nanogs.scoring.draw_views import DrawViews

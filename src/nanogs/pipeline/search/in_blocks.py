@@ -124,7 +124,7 @@ def turned_back(source: Source, result: Result) -> Source:
 
 @dataclass(eq=False)
 class _Files:
-    """Writes and measures results of a job; see `size_request.Files`."""
+    """Writes and measures results of a job; see `files.Files`."""
 
     search: Search
     work: Work

@@ -8,6 +8,7 @@ from typing import Any, Generic
 from nanogs.pipeline.estimates.stage_weights import PACKINGS
 from nanogs.pipeline.options.target import count_for_size
 from nanogs.pipeline.search.file_size import guess_count
+from nanogs.pipeline.search.files import Files
 from nanogs.pipeline.search.packing import (
     Choices,
     MeasureFiles,
@@ -17,7 +18,7 @@ from nanogs.pipeline.search.packing import (
     unseen_packing,
 )
 from nanogs.pipeline.search.results import Results, T
-from nanogs.pipeline.search.size_request import Files, SizeRequest
+from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.progress import Stage, Tracker
 from nanogs.report import PackingReport
 from nanogs.splats import Splats

@@ -1,57 +1,14 @@
-"""A request for a file of a given size, and the interface that writes and measures results."""
+"""A request for a file of a given size, and the choices that it leaves open."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple
 
-from nanogs.clock import StageClock
 from nanogs.io.format import PALETTE, Format, Sharing
 from nanogs.pipeline.estimates.memory import LEAST_BYTES
 from nanogs.pipeline.search.packing import SMALLER, Bits, Choices, Packing
-from nanogs.report import PackingReport
-from nanogs.source import Source
-from nanogs.splats import Splats
 
-R_contra = TypeVar("R_contra", contravariant=True)
 SH_BITS = "sh_bits"
 Options = Mapping[str, Any]
-
-
-class Files(Protocol[R_contra]):
-    """Writes results to measure how large their files are, and how good they look.
-
-    Attributes:
-        clock: Gets the seconds of each stage.
-    """
-
-    clock: StageClock
-
-    def count(self, result: R_contra) -> int:
-        """Return the number of splats of a result."""
-
-    def sample_bytes(self, some: Splats, options: Options) -> int:
-        """Return the size of a file of some splats with options of the format, bytes."""
-
-    def bytes_of(self, result: R_contra, options: Options) -> int:
-        """Return the size of a result's file, bytes."""
-
-    def shows(self) -> bool:
-        """Whether the views to choose by show the original, so that files can be compared."""
-
-    def measure(self, result: R_contra, sh_degree: int, options: Options) -> PackingReport:
-        """Write a result to a file; measure its bytes, and its quality on the views to choose by.
-
-        Args:
-            result: The result.
-            sh_degree: Degree of the harmonics that are written, as far as the result has them.
-            options: Of the format; the report also has those that are derived from the result.
-        """
-
-    def stored(self, result: R_contra, options: Options) -> AbstractContextManager[Splats | Source]:
-        """Open a result as its file holds or shows it, in the frame of the original."""
-
-    def unwritten(self, result: R_contra) -> AbstractContextManager[Splats | Source]:
-        """Open a result as it is before it is written, in the frame of the original."""
 
 
 class SizeRequest(NamedTuple):
