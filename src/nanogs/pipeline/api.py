@@ -173,7 +173,7 @@ def simplify(
             )
             if size is not None:
                 achieved = registry.sizer(path)(outcome.splats, target)
-                outcome = replace(outcome, achieved_size=achieved)
+                outcome = replace(outcome, fields={"achieved_size": achieved})
         tracker.finish()
     if size is not None:
         outcome = _with_size_ending(outcome, size, checked, known)
@@ -363,9 +363,10 @@ def _searched(
             drawn = draw_views(checked.splats, progress.part)
         found = search_draw_cost(grown(), goal.draw_cost or 1.0, drawn, files, progress)
     outcome, fields, notes = found
+    stop = fields.pop("stop")
     if goal.size is not None and outcome.stop is not StopReason.TARGET:
-        fields["stop"] = outcome.stop
-    return replace(outcome, **fields, notes=(*outcome.notes, *notes))
+        stop = outcome.stop
+    return replace(outcome, stop=stop, fields=fields, notes=(*outcome.notes, *notes))
 
 
 def _sample(checked: CheckedModel) -> Splats:

@@ -171,7 +171,7 @@ class CheckedModel:
             start: `time.perf_counter()` at the start.
         """
         reported = {each.name: getattr(outcome, each.name) for each in fields(outcome)}
-        del reported["splats"]
+        del reported["splats"], reported["fields"]
         return SimplifyReport(
             preset=self.preset,
             parameters=asdict(self.parameters),
@@ -187,7 +187,7 @@ class CheckedModel:
             seconds=clock.seconds,
             total_seconds=time.perf_counter() - start,
             threads=threads,
-            **reported | {"notes": (*self.splats.notes, *outcome.notes)},
+            **{**reported, **outcome.fields, "notes": (*self.splats.notes, *outcome.notes)},
         )
 
 

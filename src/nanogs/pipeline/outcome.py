@@ -1,21 +1,12 @@
 """The results of the stages, in the form that reports need."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from nanogs.costs import DrawCost
 from nanogs.fit.report import RefitReport
 from nanogs.formatting import unseen_cause
-from nanogs.protocol import Judged
-from nanogs.report import (
-    CandidateReport,
-    DrawProbeReport,
-    PackingReport,
-    PassReport,
-    ProbeReport,
-    SizeProbeReport,
-    StopReason,
-)
+from nanogs.report import CandidateReport, PassReport, StopReason
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -25,7 +16,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """A smaller model and the data for its report; see `SimplifyReport` for the fields."""
+    """A smaller model and the data for its report; see `SimplifyReport` for its fields.
+
+    Attributes:
+        splats: The model.
+        fields: Others of the report, by name: those that a search or a size determines.
+    """
 
     splats: Splats
     passes: tuple[PassReport, ...]
@@ -38,15 +34,7 @@ class Outcome:
     candidates: tuple[CandidateReport, ...] = ()
     refit: RefitReport | None = None
     notes: tuple[str, ...] = ()
-    judged: Judged | None = None
-    probes: tuple[ProbeReport, ...] = ()
-    achieved_size: int | None = None
-    size_probes: tuple[SizeProbeReport, ...] = ()
-    packings: tuple[PackingReport, ...] = ()
-    format_options: dict[str, int] = field(default_factory=dict)
-    draw_probes: tuple[DrawProbeReport, ...] = ()
-    cost: DrawCost | None = None
-    original_cost: DrawCost | None = None
+    fields: Mapping[str, Any] = field(default_factory=dict)
 
 
 def outcome_of(scene: "OneBlock") -> Outcome:
