@@ -22,7 +22,7 @@ from nanogs.store.tables import verified, write_table
 BRIEF, LEAST_STEPS = 0.05, 4
 
 
-class Executor(Protocol):
+class Runner(Protocol):
     """Does tasks that do not depend on each other."""
 
     def run(self, work: Work, tasks: Sequence[Task]) -> Iterator[Task]:
@@ -42,7 +42,7 @@ class InProcess:
             yield task
 
     def finish(self) -> None:
-        """Wait for nothing: a task that failed was the only one; see `Executor`."""
+        """Wait for nothing: a task that failed was the only one; see `Runner`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,14 +69,14 @@ class Run:
     """Does the tasks of a job that are not done yet.
 
     Attributes:
-        executor: Does the tasks.
+        runner: Does the tasks.
         clock: Gets the seconds of each stage.
         resumed: Whether to look for tasks that an earlier run has done; their files are then
             checked.
         kept: Number of these tasks.
     """
 
-    executor: Executor
+    runner: Runner
     clock: StageClock
     resumed: bool
     kept: int = 0
@@ -100,33 +100,33 @@ class Run:
                 progress.begin(stage.name)
                 progress.part(len(tasks) - len(left), len(tasks))
                 # Units are computed in this process, while workers of this machine start.
-                doing = InProcess() if stage.name == "frame" else self.executor
+                doing = InProcess() if stage.name == "frame" else self.runner
                 for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
                     work.record(task)  # cached: the report is made after the scratch is gone
                     progress.part(done, len(tasks))
 
 
-Search = Callable[[Work, Run, Tracker], Done]
+FindResult = Callable[[Work, Run, Tracker], Done]
 """Makes results of a job, from stages that are run only once, until one meets the target."""
 
 
 def run_tasks(
     scratch: Scratch,
     settings: Settings,
-    executor: Executor,
+    runner: Runner,
     threads: int,
     clock: StageClock,
     progress: Tracker,
     *,
     resumed: bool,
-    search: Search | None = None,
+    search: FindResult | None = None,
 ) -> Done:
     """Do every task of a job that is not done yet.
 
     Args:
         scratch: Its files; prepared.
         settings: Of the job.
-        executor: Does the tasks.
+        runner: Does the tasks.
         threads: Threads of this process.
         clock: Gets the seconds of each stage.
         progress: Notified of each stage.
@@ -137,7 +137,7 @@ def run_tasks(
         NanogsError: A task could not be done.
     """
     write_table(scratch, BEGUN.name, {}, {})
-    work, run = Work(scratch, settings, threads), Run(executor, clock, resumed)
+    work, run = Work(scratch, settings, threads), Run(runner, clock, resumed)
     run.do(work, stages_of(settings), progress)
     if search is not None:
         return search(work, run, progress)

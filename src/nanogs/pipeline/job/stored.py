@@ -35,14 +35,14 @@ from nanogs.pipeline.job.folder import (
 from nanogs.pipeline.job.result_writer import ResultWriter
 from nanogs.pipeline.job.workers import workers_of
 from nanogs.pipeline.options.settings import Settings, differences, in_words
-from nanogs.pipeline.run import Done, Executor, InProcess, Search, run_tasks
+from nanogs.pipeline.run import Done, FindResult, InProcess, Runner, run_tasks
 from nanogs.progress import WAITING, Progress, Tracker
 from nanogs.sink import Written
 from nanogs.store.scratch import Scratch, open_scratch
 from nanogs.threads import use_threads
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor as Pool
+    from concurrent.futures import Executor
 
     from distributed import Client
 
@@ -64,11 +64,11 @@ class Execution:
     """
 
     threads: int | None = None
-    executor: "Client | Pool | None" = None
+    executor: "Client | Executor | None" = None
     patience: float = PATIENCE
 
-    def runner(self, progress: Tracker) -> Executor:
-        """Return the executor of the tasks.
+    def runner(self, progress: Tracker) -> Runner:
+        """Return what does the tasks.
 
         Args:
             progress: Notified while there is no worker.
@@ -98,7 +98,7 @@ class BlockJob:
     folder: Path
     scratch: str | None
     writer: ResultWriter
-    search: Search | None = None
+    search: FindResult | None = None
 
     def run(
         self, execution: Execution, clock: StageClock, on_step: Progress | None, *, resume: bool

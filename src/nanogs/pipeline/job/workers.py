@@ -85,7 +85,7 @@ class Workers:
             self.begun[:] = [future for future in left if not future.cancel()]
 
     def finish(self) -> None:
-        """Wait for tasks that had begun when another failed; see `run.Executor`."""
+        """Wait for tasks that had begun when another failed; see `run.Runner`."""
         futures.wait(self.begun)
         self.settle()
 
