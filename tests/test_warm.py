@@ -5,15 +5,14 @@ import inspect
 import json
 import os
 import pkgutil
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from numba.core import sigutils
 
 import nanogs.kernels
+from kernel_copies import copy_kernels
 from nanogs import warming
 from nanogs.errors import NanogsError, OptionError
 from nanogs.kernels.cached import _Cache
@@ -90,23 +89,11 @@ def test_after_warm_no_preset_compiles_anything(tmp_path):
         )  # fmt: skip
 
     run("-m", "nanogs", "warm", NUMBA_CACHE_DIR=os.environ.get("NUMBA_CACHE_DIR", ""))
-    # Copy all but a few kernels, because compiling them all takes half a minute.
-    script = (
-        "from nanogs.kernels.needed import *; print(*(one.folder for one in needed()), sep='\\n')"
-    )
-    theirs = dict.fromkeys(run("-c", script).stdout.splitlines())
-    ours = dict.fromkeys(one.folder for one in needed())
-    missing = ("radix.", "assign.", "nodes.principal_axes")
-    for folder, target in zip(ours, map(Path, theirs), strict=True):
-        shutil.copytree(folder, target, dirs_exist_ok=True)
-        for name in missing:
-            for index in target.glob(f"{name}*.nbi"):
-                index.unlink()
+    gone = copy_kernels(tmp_path / "cache", ("radix.", "assign.", "nodes.principal_axes"))
     first = run("-m", "nanogs", "warm", "--json")
     again = run("-m", "nanogs", "warm")
     report = json.loads(first.stdout)
     assert first.stderr == ""
-    gone = [one for one in needed() if one.name.startswith(missing)]
     assert report["compiled"] == len(gone) > 3
     assert report["kernels"] == len(needed())
     assert all(folder.startswith(str(tmp_path)) for folder in report["folders"])
