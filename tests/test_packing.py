@@ -364,10 +364,11 @@ def test_only_a_packing_that_is_searched_for_gets_a_longer_fit(tmp_path):
 @pytest.mark.slow
 def test_the_longer_fit_is_made_and_reported(splats):
     few = {name: value for name, value in FEW.items() if name not in ("steps", "further")}
-    _, report = nanogs.simplify(splats, size=30_000, format=".spz", **few)
+    fewer = splats.take(np.arange(0, len(splats), 4))
+    _, report = nanogs.simplify(fewer, size=8000, format=".spz", **few)
     assert (report.parameters["steps"], report.parameters["further"]) == (SEARCHED_STEPS, 72)
     assert sum(each.steps for each in report.refit.rounds) == SEARCHED_STEPS
-    _, report = nanogs.simplify(splats, size=30_000, format=".spz", **few, steps=2)
+    _, report = nanogs.simplify(fewer, size=8000, format=".spz", **few, steps=2)
     assert report.parameters["steps"] == 2
 
 
