@@ -72,13 +72,13 @@ def visibility_of(
     return visible, missed
 
 
-def visible_weights(prominences: F64, visible: F64, hidden: float) -> F64:
-    """Compute the (N,) float64 weights of splats: prominence, reduced by occlusion.
+def visible_weights(weights: F64, visible: F64, hidden: float) -> F64:
+    """Return the (N,) float64 weights of splats, reduced by occlusion.
 
     Args:
-        prominences: (N,) from `nodes.prominence`.
+        weights: (N,) of the splats as if nothing were in front of them.
         visible: (N,) visibilities in [0, 1].
         hidden: Weight of a splat that is not visible at all, relative to a fully visible one.
     """
-    weights: F64 = prominences * (hidden + (1 - hidden) * visible)
-    return weights
+    reduced: F64 = weights * (hidden + (1 - hidden) * visible)
+    return reduced
