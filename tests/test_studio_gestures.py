@@ -29,6 +29,11 @@ entries = st.sampled_from(["100", "50k", "0", "-3", "no number", "0.004", "1e9",
 faces = st.sampled_from([f"{axis}-{end}" for axis in "xyz" for end in ("low", "high")])
 offsets = st.integers(-80, 80)  # CSS pixels
 sizes = st.sampled_from([(1280, 800), (390, 844), (700, 500)])
+# Whether a click on "Save" has its answer. Until the name is checked, the button is disabled and
+# nothing is said; while the file is written, there is a button to cancel.
+ANSWERED = """() => document.getElementById('save-cancel').hidden
+  && (!document.getElementById('save-go').disabled
+      || document.getElementById('save-said').matches('.wrong:not(:empty)'))"""
 gestures = st.one_of(
     st.tuples(st.just("slide"), names, positions),
     st.tuples(st.just("slide"), names, positions),
@@ -143,14 +148,10 @@ class Hand:
         if suffix:
             seen.at("save-format").select_option(f"file {suffix[0]}")
         seen.at("save-name").fill(name)
-        seen.until(
-            """(name) => document.getElementById('save-command').textContent.includes(name)
-            || document.getElementById('save-said').textContent.endsWith('.')""",
-            name,
-        )
+        seen.until(f"() => ({ANSWERED})()")  # a name refused before disables the button
         for _ in range(2):  # the second click confirms that a file is replaced
             self.click("save-go")  # the check of the name may still refuse it
-            seen.until("() => document.getElementById('save-cancel').hidden")
+            seen.until(f"() => ({ANSWERED})()")
         assert seen.text("save-said")
         seen.at("save-close").click()
 
