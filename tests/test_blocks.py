@@ -24,8 +24,8 @@ def open_compiled(left):
 
 
 @kernel
-def prefetch_compiled(array, row):
-    blocks.prefetch(array, row)
+def prefetch_compiled(array, row, column):
+    blocks.prefetch(array, row, column)
 
 
 @kernel
@@ -224,6 +224,6 @@ def test_open_blocks_are_those_with_transmittance_left():
 
 def test_prefetching_changes_nothing():
     array = np.arange(12.0).reshape(3, 4)
-    prefetch_compiled(array, 2)
-    blocks.prefetch(array, 2)
+    prefetch_compiled(array, 2, 1)
+    blocks.prefetch(array, 2, 1)
     assert array.ravel().tolist() == list(range(12))

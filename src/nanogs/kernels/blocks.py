@@ -141,8 +141,8 @@ def open_blocks(transmittances: F32) -> int:
 
 
 @simd_or_plain
-def prefetch(array: Array, row: int) -> None:
-    """Prefetch the first 64 bytes of a row of a two-dimensional array into the cache.
+def prefetch(array: Array, row: int, column: int) -> None:
+    """Prefetch 64 bytes of a row of a two-dimensional array, from a column on, into the cache.
 
     An array of three dimensions is treated as one of two, with the second one's number of columns.
     """

@@ -7,7 +7,7 @@ geometry; Ward, "Hierarchical grouping to optimize an objective function", 1963 
 import numpy as np
 
 from nanogs._types import F32, F64, I32, Bool
-from nanogs.kernels.lazy_features import feature
+from nanogs.kernels.lazy_features import AHEAD, feature, prefetch_features
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import kernel, parallel_kernel
 from nanogs.kernels.symmetric3 import log_determinant, mix
@@ -37,6 +37,9 @@ def merge_increments(
     features, rows, second_rows and shares: see `lazy_features.py`; out: (E, 2), colour, geometry.
     """
     for edge in range(start, stop):
+        ahead = min(edge + AHEAD, len(pairs) - 1)
+        prefetch_features(features, rows[pairs[ahead, 0]])
+        prefetch_features(features, rows[pairs[ahead, 1]])
         i, j = pairs[edge, 0], pairs[edge, 1]
         total = weights[i] + weights[j]
         pi = weights[i] / total

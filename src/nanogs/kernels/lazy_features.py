@@ -11,7 +11,26 @@ each, or (0,) if each has only one; shares: (N, 2) weights of both, or (0, 2).
 import numpy as np
 
 from nanogs._types import F32, F64, I32
+from nanogs.kernels.blocks import prefetch
 from nanogs.kernels.policy import inline, parallel_kernel
+
+AHEAD = 8  # features are prefetched this many splats or pairs before they are read
+LINE = 16  # float32 numbers in a line of the cache
+
+
+@inline
+def prefetch_features(features: F32, row: int) -> None:
+    """Prefetch a row of the table: rows in the order of the input, so far from each other."""
+    for c in range(0, features.shape[1], LINE):
+        prefetch(features, row, c)
+
+
+@inline
+def mean_feature(
+    features: F32, one: int, other: int, share: float, other_share: float, channel: int
+) -> np.float32:
+    """Return one channel of the weighted mean of two rows."""
+    return np.float32(share * features[one, channel] + other_share * features[other, channel])
 
 
 @inline
@@ -21,8 +40,8 @@ def feature(
     """Return one channel of a splat's features."""
     if len(second_rows) == 0:
         return np.float32(features[rows[splat], channel])
-    first, second = features[rows[splat], channel], features[second_rows[splat], channel]
-    return np.float32(shares[splat, 0] * first + shares[splat, 1] * second)
+    one, other = rows[splat], second_rows[splat]
+    return mean_feature(features, one, other, shares[splat, 0], shares[splat, 1], channel)
 
 
 @parallel_kernel("out")

@@ -167,7 +167,7 @@ def span_tiles(
         counts[run] = 0
         for m in range(run * size, min((run + 1) * size, len(order))):
             index = order[m]
-            prefetch(geometry, order[min(m + AHEAD, len(order) - 1)])
+            prefetch(geometry, order[min(m + AHEAD, len(order) - 1)], 0)
             left, top, across, down = unpack_box(boxes[m])
             whole = across == 1 or down == 1 or (across <= SMALL and down <= SMALL)
             spans[m] = WHOLE if whole else UNKNOWN

@@ -6,7 +6,7 @@ A covariance is a row of six float64 in the order xx, xy, xz, yy, yz, zz.
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
-from nanogs.kernels.lazy_features import feature
+from nanogs.kernels.lazy_features import mean_feature, prefetch_features
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
 from nanogs.kernels.symmetric3 import Symmetric3, covariance, deviation, eigen, shortest_last
@@ -98,6 +98,7 @@ def gather_moments(
     `lazy_features.py`; the new ones have G rows.
     """
     channels = features.shape[1]
+    colour = np.empty(channels)
     for group in range(start, stop):
         first, end = starts[group], starts[group + 1]
         anchor = members[first]
@@ -111,11 +112,12 @@ def gather_moments(
             x += w * (means[row, 0] - means[anchor, 0])
             y += w * (means[row, 1] - means[anchor, 1])
             z += w * (means[row, 2] - means[anchor, 2])
+            if channels > 0:  # without features there are no rows of them either
+                prefetch_features(features, rows[row])
         x = means[anchor, 0] + x / total
         y = means[anchor, 1] + y / total
         z = means[anchor, 2] + z / total
         xx = xy = xz = yy = yz = zz = 0.0
-        colour = np.zeros(channels, np.float64)
         for place in range(first, end):
             row = members[place]
             share = weights[row] / total
@@ -126,13 +128,26 @@ def gather_moments(
             yy += share * (covariances[row, 3] + dy * dy)
             yz += share * (covariances[row, 4] + dy * dz)
             zz += share * (covariances[row, 5] + dz * dz)
-            for c in range(channels):
-                colour[c] += share * feature(features, rows, second_rows, shares, row, c)
         new_weights[group], new_coverages[group] = total, covered
         new_means[group, 0], new_means[group, 1], new_means[group, 2] = x, y, z
         new_covariances[group, 0], new_covariances[group, 1] = xx, xy
         new_covariances[group, 2], new_covariances[group, 3] = xz, yy
         new_covariances[group, 4], new_covariances[group, 5] = yz, zz
+        if channels == 0:
+            continue
+        # Compiled as vectors, because rows are found before the loops over channels.
+        for c in range(channels):
+            colour[c] = 0.0
+        for place in range(first, end):
+            row = members[place]
+            share, one = weights[row] / total, rows[row]
+            if len(second_rows) == 0:
+                for c in range(channels):
+                    colour[c] += share * features[one, c]
+            else:
+                other, p, q = second_rows[row], shares[row, 0], shares[row, 1]
+                for c in range(channels):
+                    colour[c] += share * mean_feature(features, one, other, p, q, c)
         for c in range(channels):
             new_features[group, c] = colour[c]
 

@@ -243,9 +243,9 @@ def project_splats(
     )
     for i in range(start, stop):
         ahead = min(i + AHEAD, len(means) - 1)
-        prefetch(geometry, ahead)
+        prefetch(geometry, ahead, 0)
         for third in range(thirds):
-            prefetch(sh, 3 * ahead + third)
+            prefetch(sh, 3 * ahead + third, 0)
         boxes[i] = HIDDEN
         if not keep[i]:
             continue

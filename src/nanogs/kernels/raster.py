@@ -203,8 +203,8 @@ def blend_tiles(
                 i = entries[first + j]
                 fetch(geometry, features, i, x0, y0, channels, j, shapes, values)
             for e in range(first + BATCH, min(first + 2 * BATCH, end)):
-                blocks.prefetch(geometry, entries[e])
-                blocks.prefetch(features, entries[e])
+                blocks.prefetch(geometry, entries[e], 0)
+                blocks.prefetch(features, entries[e], 0)
             for j in range(count):
                 blocks.mark_blocks(shapes, j, marks)
             _clear(sums)
@@ -241,7 +241,7 @@ def sum_entries(
     for run in range(start, stop):
         sums = totals[run]
         for e in range(bounds[run], bounds[run + 1]):
-            blocks.prefetch(sums, entries[min(e + AHEAD, len(entries) - 1)])
+            blocks.prefetch(sums, entries[min(e + AHEAD, len(entries) - 1)], 0)
             i = entries[e]
             for p in range(partial.shape[1]):
                 sums[i, p] += partial[e, p]

@@ -104,10 +104,11 @@ def open_blocks(typing: Any, transmittances: Any) -> Any:
 
 
 @intrinsic
-def prefetch(typing: Any, array: Any, row: Any) -> Any:
+def prefetch(typing: Any, array: Any, row: Any, column: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         table = context.make_array(array)(context, builder, args[0])
         offset = builder.mul(args[1], builder.extract_value(table.shape, 1))
+        offset = builder.add(offset, args[2])
         byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
         where = builder.bitcast(builder.gep(table.data, [offset]), byte)
         kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
@@ -116,4 +117,4 @@ def prefetch(typing: Any, array: Any, row: Any) -> Any:
         builder.call(function, [where, to_read, near, data])
         return context.get_dummy_value()
 
-    return types.void(array, types.int64), generate
+    return types.void(array, types.int64, types.int64), generate

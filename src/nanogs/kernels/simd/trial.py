@@ -22,7 +22,7 @@ def _call_all(
     lanes.box_keys(points, boxes, 0, keys)
     mask = lanes.within(keys, 0, keys)
     lanes.insert(keys, keys, 16, 1)
-    blocks.prefetch(shapes, 0)
+    blocks.prefetch(shapes, 0, 0)
     mask &= blocks.mark_blocks(shapes, 0, marks) & blocks.open_blocks(transmittances)
     blending.blend_block(marks[0], 0, shapes, sums[0], transmittances, sums[0], planes)
     blending.add_block(marks[0], 0, sums[0], sums[0], 0, planes)
