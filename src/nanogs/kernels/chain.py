@@ -18,7 +18,7 @@ import numpy as np
 
 from nanogs._types import F32, F64
 from nanogs.kernels.gradients import SUMS
-from nanogs.kernels.policy import exact_inline, inline
+from nanogs.kernels.policy import allocating_inline, exact_inline, inline
 from nanogs.kernels.project import DILATION
 
 Triple: TypeAlias = tuple[float, float, float]
@@ -53,7 +53,7 @@ PRODUCTS = np.array(
 )
 
 
-@inline
+@allocating_inline
 def new_chains(shape: int, screen: int, lanes: int) -> tuple[F64, F64, F64]:
     """Allocate arrays for `gradients_and_hessians`: Jacobians, sums, and scratch for products."""
     # Zeros, because only one entry of the opacity's row of a Jacobian is ever written.

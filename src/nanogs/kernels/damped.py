@@ -14,7 +14,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool
 from nanogs.kernels.chain import SCREEN, SHAPE
-from nanogs.kernels.policy import exact_inline
+from nanogs.kernels.policy import allocating_inline, exact_inline
 
 # Splats side by side: their matrices take 14 kB of the first-level cache.
 LANES = 32
@@ -23,7 +23,7 @@ LANES = 32
 SIZES = SHAPE, SCREEN, LANES
 
 
-@exact_inline
+@allocating_inline
 def new_lanes(shape: int, lanes: int) -> tuple[F64, F64, Bool]:
     """Allocate the arrays of `damped_steps`: gradients, matrices, and which splats have a step.
 

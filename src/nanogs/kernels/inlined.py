@@ -79,11 +79,14 @@ OPTIONS: dict[str, Any] = {
 
 
 class _Inlined(registry.CPUDispatcher):
-    """A function that kernels inline; if Python calls it, as tests do, it is compiled by itself."""
+    """A function that kernels inline; if Python calls it, as tests do, it is compiled by itself.
+
+    Then it may also take arrays in place of numbers, and make new ones.
+    """
 
     @cached_property
     def _alone(self) -> Callable[..., Any]:
-        options = self.targetoptions | {"no_cpython_wrapper": False}
+        options = self.targetoptions | {"no_cpython_wrapper": False, "_nrt": True}
         del options["nopython"]
         return cached(self.py_func, **options)
 
@@ -91,10 +94,17 @@ class _Inlined(registry.CPUDispatcher):
         return self._alone(*args)
 
 
-def inlined(function: Kernel, **options: Any) -> Kernel:  # noqa: ANN401
-    """Mark a function to be inlined into the kernels that call it, and compiled nowhere else."""
+def inlined(function: Kernel, *, allocates: bool = False, **options: Any) -> Kernel:  # noqa: ANN401
+    """Mark a function to be inlined into the kernels that call it, and compiled nowhere else.
+
+    Args:
+        function: The function.
+        allocates: Whether it makes arrays. If not, it counts no references to arrays, because its
+            caller holds them all. Threads would wait for each other's counting at every call.
+        options: Options of Numba's decorators.
+    """
     if config.DISABLE_JIT:  # type: ignore[attr-defined]
         return function
-    given = options | OPTIONS | {"nopython": True, "boundscheck": None}
+    given = options | OPTIONS | {"nopython": True, "boundscheck": None, "_nrt": allocates}
     compiler = given.pop("pipeline_class")
     return cast("Kernel", _Inlined(function, targetoptions=given, pipeline_class=compiler))

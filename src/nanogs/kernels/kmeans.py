@@ -78,10 +78,12 @@ def weighted_means(
     more) in and out; squares: (K,) out.
     """
     dimensions = points.shape[1]
+    sums = np.empty(dimensions)
     for k in range(start, stop):
         if starts[k + 1] > starts[k]:
             total = 0.0
-            sums = np.zeros(dimensions)
+            for d in range(dimensions):
+                sums[d] = 0.0
             for place in range(starts[k], starts[k + 1]):
                 i = order[place]
                 total += weights[i]

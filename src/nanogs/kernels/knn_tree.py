@@ -136,24 +136,26 @@ def _leaves_below(node: int, leaves: int) -> tuple[int, int]:
 
 @exact_inline
 def _split_all(
-    points: F64, rows: I32, boxes: F64, node: int, first: int, last: int, below: bool
-) -> None:
-    """Split a node and, if `below`, all nodes below it."""
-    sample = np.empty(_SAMPLE)
-    nodes = np.empty(DEEPEST, dtype=np.int64)
-    firsts = np.empty(DEEPEST, dtype=np.int64)
-    lasts = np.empty(DEEPEST, dtype=np.int64)
-    nodes[0], firsts[0], lasts[0] = node, first, last
+    points: F64, rows: I32, boxes: F64, node: int, first: int, last: int, below: bool,
+    sample: F64, stack: I64,
+) -> None:  # fmt: skip
+    """Split a node and, if `below`, all nodes below it.
+
+    sample: (_SAMPLE,) and stack: (DEEPEST, 3) scratch, of nodes and their first and last leaf.
+    """
+    stack[0, 0], stack[0, 1], stack[0, 2] = node, first, last
     waiting = 1
     while waiting > 0:
         waiting -= 1
-        node, first, last = nodes[waiting], firsts[waiting], lasts[waiting]
+        node, first, last = stack[waiting, 0], stack[waiting, 1], stack[waiting, 2]
         _split(points, rows, boxes, node, first, last, sample)
         if below and last - first > 1:
             middle = (first + last) // 2
-            nodes[waiting], firsts[waiting], lasts[waiting] = 2 * node + 1, middle, last
+            top = stack[waiting]
+            top[0], top[1], top[2] = 2 * node + 1, middle, last
             waiting += 1
-            nodes[waiting], firsts[waiting], lasts[waiting] = 2 * node, first, middle
+            top = stack[waiting]
+            top[0], top[1], top[2] = 2 * node, first, middle
             waiting += 1
 
 
@@ -163,10 +165,11 @@ def _split_nodes(
 ) -> None:
     """Split nodes of one level and, if `below`, all nodes below them."""
     leaves = (len(rows) + LANES - 1) // LANES
+    sample, stack = np.empty(_SAMPLE), np.empty((DEEPEST, 3), np.int64)
     for place in range(start, stop):
         first, last = _leaves_below(nodes[place], leaves)
         if last > first:
-            _split_all(points, rows, boxes, nodes[place], first, last, below)
+            _split_all(points, rows, boxes, nodes[place], first, last, below, sample, stack)
 
 
 def build_tree(points: F64, rows: I32, boxes: F64, top: int) -> None:

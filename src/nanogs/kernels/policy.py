@@ -91,6 +91,11 @@ def exact_inline(function: Kernel) -> Kernel:
     return inlined(function, **CALLED)
 
 
+def allocating_inline(function: Kernel) -> Kernel:
+    """Mark a small function to be inlined that only makes arrays, which the others must not."""
+    return inlined(function, allocates=True, **CALLED)
+
+
 def simd_or_plain(function: Kernel) -> Kernel:
     """Compile a small function as vectors of `nanogs.kernels.simd`, or as it is written.
 

@@ -108,16 +108,19 @@ def lay_out(
 def _take_nearest(
     i: int, points: F32, lengths: F32, weights: F32, first: int, width: int, holders: I32,
     lowest: F32, second: F32, tiles: I32, rounding: np.float32, partners: I32, costs: F32,
+    least: F32,
 ) -> None:  # fmt: skip
     """Insert the nearest point of each lane of a cell as a partner of a point, if cheap enough.
 
     i: the point; first, width: columns of the cell; lowest, second: (16,) the two least squared
-    distances in each lane, less the point's own square; tiles: (16,) the tile of the lowest; the
-    others as in `near_partners`.
+    distances in each lane, less the point's own square; tiles: (16,) the tile of the lowest; least:
+    (16,) scratch; the others as in `near_partners`.
     """
     last = costs.shape[1] - 1
     hidden, nearest = -1, EMPTY  # hidden: the lane in which the point itself is the nearest
+    length, v = lengths[i], weights[i]
     for lane in range(LANES):
+        least[lane] = EMPTY
         if lowest[lane] == EMPTY:
             continue
         partner = holders[first + tiles[lane] * LANES + lane]
@@ -125,16 +128,25 @@ def _take_nearest(
             hidden = lane
             continue
         nearest = min(nearest, lowest[lane])
-        doubt = rounding * (lengths[i] + lengths[partner])
-        v, w = weights[i], weights[partner]
-        if (lowest[lane] + lengths[i] - 2 * doubt) * (v / (v + w) * w) > costs[i, last]:
-            continue  # too expensive, even at the lower bound of its cost
-        if second[lane] - lowest[lane] <= doubt:
+        w = weights[partner]
+        doubt = rounding * (length + lengths[partner])
+        least[lane] = (lowest[lane] + length - 2 * doubt) * (v / (v + w) * w)
+    # By lower bounds of their costs, so that few are computed that cheaper ones replace.
+    for _ in range(LANES):
+        lane = 0
+        for other in range(1, LANES):
+            if least[other] < least[lane]:
+                lane = other
+        if least[lane] == EMPTY or least[lane] > costs[i, last]:
+            break
+        least[lane] = EMPTY
+        partner = holders[first + tiles[lane] * LANES + lane]
+        if second[lane] - lowest[lane] <= rounding * (length + lengths[partner]):
             partner = _nearest(points, i, holders, first + lane, first + width)
         _enter(partners, costs, i, partner, _cost(points, weights, i, partner))
     if hidden < 0 or second[hidden] == EMPTY:
         return
-    if second[hidden] - 4 * rounding * lengths[i] <= nearest:
+    if second[hidden] - 4 * rounding * length <= nearest:
         partner = _nearest(points, i, holders, first + hidden, first + width)
         _enter(partners, costs, i, partner, _cost(points, weights, i, partner))
 
@@ -173,6 +185,7 @@ def near_partners(
     lowest = np.empty((TOGETHER, LANES), np.float32)
     second = np.empty((TOGETHER, LANES), np.float32)
     tiles = np.empty((TOGETHER, LANES), np.int32)
+    least = np.empty(LANES, np.float32)
     for piece in range(start, stop):
         cell, at, end = pieces[piece, 0], pieces[piece, 1], pieces[piece, 2]
         first, width = bounds[cell], widths[cell]
@@ -190,7 +203,7 @@ def near_partners(
             for j in range(min(TOGETHER, end - at)):
                 _take_nearest(
                     order[at + j], points, lengths, weights, first, width, holders, lowest[j],
-                    second[j], tiles[j], rounding, partners, costs,
+                    second[j], tiles[j], rounding, partners, costs, least,
                 )  # fmt: skip
             at += TOGETHER
 
