@@ -15,7 +15,8 @@ from nanogs.io import encoded_bytes, registry
 from nanogs.pipeline.files import limit_degree
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
-from nanogs.pipeline.search.file_size import MOST_PROBES, search_fit
+from nanogs.pipeline.search.file_size import MOST_PROBES, FittedSize, search_fit
+from nanogs.report import SizeProbeReport, StopReason
 from nanogs.views.opening import opening_for
 from random_requests import FEW_VIEWS, Request, random_request, run_and_check
 
@@ -233,6 +234,13 @@ def test_a_search_that_ends_early_says_so():
     fitted = search_fit(lambda count: 4000 + count.bit_length(), 10**6, 1, 1, 10**99)
     assert (len(fitted.probes), fitted.stop) == (MOST_PROBES, "settled")
     assert "no larger one was found in the allowed number of tries" in fitted.leap(10**6, 10**99)[0]
+
+
+def test_the_file_that_is_named_as_too_large_has_more_splats():
+    """A plain cut that leads the search may take more bytes than a fitted result of more splats."""
+    probes = (SizeProbeReport(900, 1010), SizeProbeReport(950, 900), SizeProbeReport(959, 1200))
+    (note,) = FittedSize(950, 900, probes, StopReason.STEP).leap(1000, 2000)
+    assert note.endswith("because a file of 959 splats takes 1,200 B.")
 
 
 @pytest.mark.parametrize(

@@ -47,13 +47,11 @@ class FittedSize:
 
     def leap(self, size: int, available: int, around: int = 0) -> tuple[str, ...]:
         """Return a note if much of the size is unused, mostly because the size jumps there."""
-        over = min(
-            (probe for probe in self.probes if probe.bytes > size),
-            default=None,
-            key=lambda probe: probe.count,
-        )
         if not self.probes or self.count == available:
             return ()
+        # Plain cuts of fewer splats, which lead the search, can be too large as well.
+        larger = [each for each in self.probes if each.bytes > size and each.count > self.count]
+        over = min(larger, default=None, key=lambda probe: probe.count)
         return little_used(size, self.bytes, over, around)
 
 
