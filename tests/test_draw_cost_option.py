@@ -157,6 +157,14 @@ def test_a_draw_cost_below_that_of_one_splat_is_refused(scene, tmp_path, block):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_draw_cost_that_no_result_has_is_refused_with_a_remedy_that_helps():
+    """Merged splats of a sparse model can cost more than the model: no allowed share is enough."""
+    with pytest.raises(TooSmallError, match=r"cost 40\.00% .* allow at least that"):
+        search_share(lambda _count: 0.4, 0.1, 1, 1000, 100)
+    with pytest.raises(TooSmallError, match=r"cost 160\.00% .* ask for a `ratio` or a `count`"):
+        search_share(lambda _count: 1.6, 0.5, 1, 1000, 100)
+
+
 def test_impossible_requests_are_refused(scene, tmp_path):
     out = tmp_path / "a.ply"
     for request in ({"draw_cost": 0.0}, {"draw_cost": 1.5}, {"draw_cost": 0.5, "ratio": 0.5}):

@@ -86,10 +86,13 @@ def search_share(
         if fits and (stop := _ending(fits, over, len(probes))):
             return Found(fits.count, tuple(probes), stop)
         if fits is None and over.count == fewest:
+            remedy = "allow at least that"
+            if probe.share > 1:  # more than can be asked for
+                remedy = "merged splats are larger, so ask for a `ratio` or a `count`"
             raise TooSmallError(
                 f"A draw cost of {asked:.2%} is too small: {counted(fewest, 'splat')}, the fewest"
                 f" that this model can be reduced to, cost {probe.share:.2%} of the whole model;"
-                " allow at least that."
+                f" {remedy}."
             )
         power = _power(probes) if len(probes) > 1 else power
         count = _next(fits, over, probe, asked, power, len(probes))
