@@ -342,6 +342,8 @@ def test_asking_for_depth_and_contributions_changes_no_colour():
         make_camera(near=0.0),
         make_camera(world_to_camera=np.full((4, 4), np.nan)),
         make_camera(world_to_camera=np.eye(3)),
+        make_camera(whole=(32.0, math.nan, 64.0, 64.0)),
+        make_camera(whole=(32.0, 32.0, 64.0, 0.0)),
         [make_camera()],
     ],
 )

@@ -530,11 +530,12 @@ def check_camera(camera: Camera) -> None:
             f"a camera needs 1 to {projection.LARGEST:,} pixels along each side, not"
             f" {camera.width} x {camera.height}."
         )
-    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, camera.near)
-    if not (np.isfinite(numbers).all() and min(camera.fx, camera.fy) > 0 and camera.near > 0):
+    if not np.isfinite(camera.intrinsics).all() or not min(camera.fx, camera.fy, camera.near) > 0:
         raise OptionError(
             f"camera {camera.name!r} needs finite intrinsics, focal lengths and near above 0."
         )
+    if camera.whole is not None and not min(camera.whole[2:]) > 0:
+        raise OptionError(f"camera {camera.name!r} needs a `whole` picture of a size above 0.")
     if camera.world_to_camera.shape != (4, 4) or not np.isfinite(camera.world_to_camera).all():
         raise OptionError(f"camera {camera.name!r} needs a finite 4 x 4 world_to_camera.")
     turn, last = camera.world_to_camera[:3, :3], camera.world_to_camera[3]
