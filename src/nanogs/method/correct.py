@@ -49,8 +49,8 @@ class Correction:
     """Scores by corrected errors.
 
     Attributes:
-        scores: (M,) float64, as those of an `Ordering`. They are not corrected if no view shows a
-            group, if no group has several members, or if the errors are not finite.
+        scores: (M,) float64, as those of an `Ordering`. They are not corrected if views show no
+            group or no error, if no group has several members, or if the errors are not finite.
         sums: (4,) float64, over all groups: the squared errors that they show, their light, their
             predicted errors and their weights; zeros if the scores are not corrected.
     """

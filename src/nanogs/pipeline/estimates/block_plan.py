@@ -43,7 +43,7 @@ class ScalePlan:
     """Blocks, memory, disk and time that a job takes.
 
     Attributes:
-        splats: Rows of all inputs.
+        splats: Rows that filters leave of all inputs.
         block: Largest number of splats of a block.
         segment: Largest number of rows that are sorted at a time.
         blocks: Number of blocks, about.
@@ -98,7 +98,7 @@ def plan_blocks(
     """Plan blocks as large as the memory allows.
 
     Args:
-        splats: Rows of all inputs.
+        splats: Rows that filters leave of all inputs.
         layout: Of their columns.
         parameters: Of the method.
         shares: Share of the splats that each result keeps.

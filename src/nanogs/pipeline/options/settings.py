@@ -58,7 +58,7 @@ class Access(StrEnum):
     """How the rows of an input file are read: by random access, after unpacking, or all at once."""
 
     ROWS = "rows"  # any of them can be read without the others
-    PACKED = "packed"  # as ROWS, once the columns are unpacked; files of few rows are not
+    PACKED = "packed"  # as ROWS, once the columns are unpacked, which is done for large files only
     WHOLE = "whole"  # all of them at once
 
 
