@@ -94,6 +94,12 @@ def test_view_options_beside_a_camera_file_are_refused(folder, arguments, option
             "--pixels has no effect, because the PSNR",
         ),
         (["compare", "a.ply", "a.ply", "--interactive"], "--interactive works only with --report"),
+        (["info", "a.ply", "--threads", "1"], "--threads works only with --views, --photos or"),
+        (["info", "a.ply", "--max-memory", "1GB"], "--max-memory works only with --views,"),
+        (
+            ["info", "a.ply", "--packed", ".sog", "--background", "white"],
+            "--background works only with --views or --photos;",
+        ),
     ],
 )
 def test_options_without_effect_are_refused(folder, arguments, message):

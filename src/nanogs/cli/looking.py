@@ -41,6 +41,25 @@ def refuse_beside_photos(photos: Path | None, of_photos: Given, found: Given) ->
             )
 
 
+def refuse_without_views(rendered: bool, needed: str, options: Given) -> None:
+    """Refuse options for rendering if nothing that they apply to is rendered.
+
+    Args:
+        rendered: Whether something is.
+        needed: The options that cause it, as words.
+        options: Options for rendering.
+
+    Raises:
+        OptionError: Such an option is given without one of those.
+    """
+    for option, value in () if rendered else options.items():
+        if value is not None:
+            raise OptionError(
+                f"{option} works only with {needed}; add one of these, such as --views 8, or leave"
+                " it out."
+            )
+
+
 def refuse_beside_file(cameras: str | None, found: Given) -> None:
     """Refuse options for automatic views if cameras are read from a file.
 
@@ -119,12 +138,9 @@ class RenderOptions:
         refuse_beside_file(self.cameras, found)
         found["--cameras"] = self.cameras
         looks = bool(self.photos) or any(value is not None for value in found.values())
-        others = (self.background, *(() if packed else (self.threads, self.max_memory)))
-        if not looks and any(value is not None for value in others):
-            raise OptionError(
-                "Options for rendering have no effect, because nothing is rendered; add --views"
-                " 8, or --photos with a folder."
-            )
+        rendering: Given = {"--threads": self.threads, "--max-memory": self.max_memory}
+        refuse_without_views(looks, "--views or --photos", {"--background": self.background})
+        refuse_without_views(looks or packed, "--views, --photos or --packed", rendering)
         return looks
 
     def looked(self, model: "Model", progress: "Progress") -> "RenderFindings":
