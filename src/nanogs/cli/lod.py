@@ -96,6 +96,8 @@ def lod(
     environment_ratio: Annotated[
         float | None,
         typer.Option(
+            parser=options.parse_ratio,
+            metavar="RATIO",
             help="Compaction ratio of the environment, all of which is loaded at once.",
             show_default="1",
         ),
