@@ -481,6 +481,13 @@ def test_a_mount_point_is_refused_before_any_work(tmp_path, monkeypatch, make):
         make(out)
 
 
+def test_a_file_in_place_of_the_folder_around_the_output_is_named(tmp_path):
+    (tmp_path / "a.ply").touch()
+    with pytest.raises(OutputError, match=r"a\.ply is no folder; choose another output"):
+        write_levels(random_splats(9), tmp_path / "a.ply" / "out", RATIOS, progress=fails)
+    assert (tmp_path / "a.ply").is_file()
+
+
 def fails(_step):
     pytest.fail("work has begun")
 

@@ -84,8 +84,10 @@ def _target(path: Path, ours: Ours, *, overwrite: bool) -> Path:
 
 
 def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> None:
-    if not target.parent.is_dir():
+    if not target.parent.exists():
         raise OutputError(f"The folder {target.parent} does not exist; create it first.")
+    if not target.parent.is_dir():
+        raise OutputError(f"{target.parent} is no folder; choose another output.")
     if not target.exists():
         return
     if not target.is_dir():
