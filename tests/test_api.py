@@ -665,6 +665,7 @@ def test_a_change_of_frames_needs_two_names(pair, files, tmp_path, frame):
         ({"threads": True}, "threads must be a whole number, not True"),
         ({"max_memory": "much"}, "must be like 20MB"),
         ({"max_memory": 2.5}, "is a number of bytes or text"),
+        ({"max_memory": -1}, 'size is a number of bytes or text like "20MB", not -1'),
         ({"progress": "yes"}, "`progress`, .* function or None, must be True or False, not 'yes'"),
     ],
 )

@@ -40,7 +40,7 @@ def as_bytes(size: int | str) -> int:
     """Convert a size, given as a number of bytes or as text, to bytes.
 
     Raises:
-        OptionError: It is neither.
+        OptionError: It is neither, or below 0.
     """
     if isinstance(size, str):
         return parse_bytes(size)
@@ -48,7 +48,7 @@ def as_bytes(size: int | str) -> int:
         whole = int(size)
     except (TypeError, ValueError, OverflowError):
         whole = -1
-    if not is_number(size) or whole != size:
+    if not is_number(size) or whole != size or whole < 0:
         raise OptionError(f'A size is a number of bytes or text like "20MB", not {size!r}.')
     return whole
 
