@@ -122,9 +122,10 @@ def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
     Raises:
         OptionError: There are none, one is out of range, or they are not strictly decreasing.
     """
-    if not isinstance(ratios, Iterable):
+    if not isinstance(ratios, Iterable) or isinstance(ratios, str | bytes):
         raise OptionError(
-            f"The ratios of levels must be a sequence, such as [0.5, 0.1], not {ratios!r}."
+            "The ratios of levels must be a sequence of numbers, such as [0.5, 0.1], not"
+            f" {ratios!r}."
         )
     found = tuple(goal.ratio for ratio in ratios if (goal := Goal(ratio=ratio)).ratio is not None)
     if not found:
