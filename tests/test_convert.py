@@ -203,6 +203,34 @@ def test_the_palette_size_can_be_chosen(scene, tmp_path, suffix):
     assert len(np.unique(nanogs.load(small).sh[:, 1:], axis=0)) == 2
 
 
+@pytest.mark.parametrize("degree", [0, 1])
+@pytest.mark.parametrize("suffix", [".sog", ".spz"])
+def test_options_of_harmonics_without_an_effect_are_named_once(scene, tmp_path, suffix, degree):
+    given = {"palette": 3, "bits": 7} | ({"sh_bits": 4} if suffix == ".spz" else {})
+    target = tmp_path / f"a{suffix}"
+    how = {"format_options": given, "overwrite": True}
+    quick = {"ratio": 0.5, "preset": "fast", "sh_degree": degree, "format_options": given}
+    model = nanogs.load(scene)
+    few = nanogs.RefitParameters(steps=1, views=2, size=32)
+    reports = [
+        nanogs.convert(scene, target, sh_degree=degree, **how),
+        nanogs.simplify(model, format=suffix, **quick)[1],
+        nanogs.simplify_blocks(scene, target, overwrite=True, **quick),
+        nanogs.simplify_blocks(scene, target, overwrite=True, block=150, **quick),
+        nanogs.refit(
+            model, model.with_sh_degree(degree), parameters=few, format=suffix,
+            format_options=given,
+        )[1],
+    ]  # fmt: skip
+    expected = [] if degree else [name for name in ("palette", "sh_bits") if name in given]
+    options = {"suffix": suffix, "preset": "fast", "sh_degree": degree, "format_options": given}
+    nanogs.write_levels(scene, tmp_path / "l", [0.5, 0.2], **options)
+    manifest = json.loads((tmp_path / "l" / "levels.json").read_text())
+    for notes in (*(report.notes for report in reports), manifest["notes"]):
+        found = [note for note in notes if "had no effect" in note]
+        assert [note.split("`")[1] for note in found] == expected
+
+
 def test_invalid_format_options_and_those_of_other_formats_are_refused(scene, tmp_path):
     assert_refused(run(scene, tmp_path / "a.spz", "--spz-version", 1), tmp_path, "2 or 3 or 4")
     assert_refused(run(scene, tmp_path / "a.ply", "--spz-version", 4), tmp_path, "for .spz files")

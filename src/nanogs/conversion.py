@@ -142,6 +142,7 @@ def convert(
             # Read the input's facts now: the output may replace the input.
             notes, lost = _said(model, path)
             said = (*_which(file, level), *said)
+            ignored = known.without_effect(format_options, model.columns.sh_degree)
             count, columns, read_bytes = model.count, model.columns, file.info.file_bytes
         tracker.begin("write")
         with clock.time("write"):
@@ -150,7 +151,7 @@ def convert(
         made = _written(path, count, columns) | {"output_bytes": bytes_on_disk(path)}
     return ConvertReport(
         input=str(given), output=str(wanted), filters=took, frames=frame,
-        input_bytes=read_bytes, **made, notes=(*notes, *said), losses=lost,
+        input_bytes=read_bytes, **made, notes=(*notes, *said, *ignored), losses=lost,
         seconds=clock.seconds, total_seconds=time.perf_counter() - start,
     )  # fmt: skip
 

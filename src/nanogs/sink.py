@@ -316,18 +316,18 @@ class OneFile(InOneFile):
 
     def open(self, making: Path, options: FormatOptions) -> OpenSink:
         """Open the sink at a temporary path; see `Sink.open`."""
-        return _File(making, {**(self.format_options or {}), **options})
+        return _File(making, self.format_options, options)
 
 
 class _File(OpenSink):
-    def __init__(self, making: Path, format_options: FormatOptions | None) -> None:
+    def __init__(self, making: Path, asked: FormatOptions | None, chosen: FormatOptions) -> None:
         super().__init__()
-        self._making, self._options = making, format_options
+        self._making, self._asked, self._options = making, asked, {**(asked or {}), **chosen}
 
     def add(self, model: Splats | Source, on_progress: PartProgress = ignore_progress) -> None:
         on_progress(0, 1)
         save(model, self._making, overwrite=True, format_options=self._options)
-        size, left_out = self._making.stat().st_size, losses(model, self._making)
+        size, left_out = self._making.stat().st_size, losses(model, self._making, self._asked)
         self.written.append(Written(len(model), (self._making.name,), size, left_out))
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> None:  # noqa: ARG002

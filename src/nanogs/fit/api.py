@@ -110,7 +110,13 @@ def refit(
         report,
         seconds=clock.seconds | report.seconds,
         total_seconds=time.perf_counter() - begin,
-        notes=(*lens_notes(cameras or ()), *unseen, *report.notes, *device_notes(device, used)),
+        notes=(
+            *lens_notes(cameras or ()),
+            *unseen,
+            *report.notes,
+            *known.without_effect(options, fitted.sh_degree),
+            *device_notes(device, used),
+        ),
     )
 
 

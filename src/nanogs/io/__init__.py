@@ -285,10 +285,14 @@ def derived_options(
     return {name: value for name, value in found.items() if format_options.get(name) is None}
 
 
-def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...]:
+def losses(
+    splats: Splats | Source,
+    path: str | PathLike[str],
+    format_options: FormatOptions | None = None,
+) -> tuple[str, ...]:
     """Return a sentence for each thing that `save` would leave out, or why it would refuse.
 
-    Quantisation is not named.
+    Quantisation is not named. Of the format options, those without an effect are.
 
     A source is read once, block by block, unless the format loses nothing of any model.
 
@@ -300,13 +304,14 @@ def losses(splats: Splats | Source, path: str | PathLike[str]) -> tuple[str, ...
         return (f"The model has no splats, {known.suffix} refuses it.",)
     if known.losses is nothing_lost:
         return registry.refused_columns(known, source_of(splats))
+    ignored = known.without_effect(format_options, source_of(splats).columns.sh_degree)
 
     def name(part: Splats) -> tuple[str, ...]:
         return registry.losses_of(known, part, refused_splats(part))
 
     if isinstance(splats, Splats):
-        return name(splats)
-    return join_findings(map(name, splats.blocks()))
+        return (*name(splats), *ignored)
+    return (*join_findings(map(name, splats.blocks())), *ignored)
 
 
 def inspect(path: str | PathLike[str], *, level: int = 0) -> FileInfo:

@@ -97,6 +97,7 @@ class WriteOption:
         without_rendering: For an option that sets the precision: the value for presets that do not
             render, when a file size is asked for; None for `search_start`.
         whole: Whether a writer that gets this option has to hold the whole model.
+        of_harmonics: Whether it concerns only spherical harmonics above degree 0.
     """
 
     keyword: str
@@ -104,6 +105,7 @@ class WriteOption:
     search_start: int | None = None
     without_rendering: int | None = None
     whole: bool = False
+    of_harmonics: bool = False
 
     @property
     def allowed(self) -> str:
@@ -206,6 +208,14 @@ class Format:
         """Whether writing with these options holds the whole model and not only some rows."""
         given = given_options(options)
         return not self.streams or any(self.options[n].whole for n in given if n in self.options)
+
+    def without_effect(self, options: FormatOptions | None, sh_degree: int) -> tuple[str, ...]:
+        """Return a sentence for each given option that writing a model of this degree ignores."""
+        return tuple(
+            f"`{name}` had no effect, because the result has no spherical harmonics above degree 0."
+            for name in given_options(options)
+            if sh_degree == 0 and self.options[name].of_harmonics
+        )
 
     def extra_memory(self, model: int) -> int:
         """Estimate the bytes of memory that writing takes beside a held model of `model` bytes."""

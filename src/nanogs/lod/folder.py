@@ -136,7 +136,7 @@ class _Files(LevelsFilling):
         save(model, path, format_options=self._format_options)
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        size, left_out = path.stat().st_size, losses(model, path)
+        size, left_out = path.stat().st_size, losses(model, path, self._format_options)
         self.written.append(Written(len(model), (path.name,), size, left_out, digest))
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:

@@ -179,7 +179,8 @@ def simplify(
         outcome = _with_size_ending(outcome, size, checked, known)
     small = turned(outcome.splats, frame)
     report = checked.report(goal, target, outcome, threads_used, clock, start)
-    return small, replace(report, notes=(*report.notes, *device_notes(device, used)))
+    ignored = known.without_effect(given, small.sh_degree)
+    return small, replace(report, notes=(*report.notes, *ignored, *device_notes(device, used)))
 
 
 def _with_size_ending(outcome: Outcome, size: int, checked: CheckedModel, known: Format) -> Outcome:

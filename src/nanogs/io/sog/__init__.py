@@ -11,7 +11,7 @@ from nanogs.source import Source
 
 _FIRST_BITS = 6  # start of a search for the best `bits`: mostly at most one off
 _OPTIONS = {
-    "palette": WriteOption("palette_size", range(1, PALETTE_MAX + 1)),
+    "palette": WriteOption("palette_size", range(1, PALETTE_MAX + 1), of_harmonics=True),
     "bits": WriteOption(
         "bits",
         range(FEWEST_BITS, MOST_BITS + 1),

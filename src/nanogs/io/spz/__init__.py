@@ -50,9 +50,11 @@ FORMATS = (
         axes=None,
         options={
             "spz_version": WriteOption("version", (2, 3, 4)),
-            "palette": WriteOption("palette_size", range(1, write.MOST_ENTRIES + 1), whole=True),
+            "palette": WriteOption(
+                "palette_size", range(1, write.MOST_ENTRIES + 1), whole=True, of_harmonics=True
+            ),
             "bits": WriteOption("bits", range(FEWEST_BITS, MOST_BITS + 1), _FIRST_BITS),
-            "sh_bits": WriteOption("sh_bits", range(2, 9), _FIRST_SH_BITS),
+            "sh_bits": WriteOption("sh_bits", range(2, 9), _FIRST_SH_BITS, of_harmonics=True),
             "spare_bits": WriteOption("spare", range(MOST_SPARE_BITS + 1)),
             "frame": WriteOption("frame", RECORDED_FRAMES),
         },
