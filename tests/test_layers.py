@@ -203,12 +203,15 @@ def test_modules_do_not_import_each_other_in_a_cycle():
         visit(module, ())
 
 
-def test_no_module_is_hidden_by_something_else_of_its_name():
+@pytest.mark.parametrize("card", [False, True])
+def test_no_module_is_hidden_by_something_else_of_its_name(card):
     """`nanogs.io.spz.write` is the module, whatever functions its package imports."""
+    if card and not find_spec("warp"):
+        pytest.skip("kernels for graphics cards need Warp: pip install 'nanogs[cuda]'")
     found = map(name_of, sorted(ROOT.rglob("*.py")))
     names = [name.removesuffix(".__init__") for name in found if name[:2] != "__"]
-    if not find_spec("warp"):  # which kernels for graphics cards need
-        names = [name for name in names if part_of(name) != "card"]
+    names = [name for name in names if (part_of(name) == "card") == card]
+    assert names
     modules = {name: importlib.import_module(f"nanogs.{name}") for name in names}
     seen = {name: reduce(getattr, name.split("."), nanogs) for name in names}
     assert [name for name in names if seen[name] is not modules[name]] == []
