@@ -598,9 +598,13 @@ def test_a_refit_for_a_file_with_a_palette_shares_harmonics():
 
 def test_values_that_cannot_be_shared_are_refused_before_a_refit():
     original, small = noisy_pair()
-    small.sh[7, 4, 1] = np.nan
-    with pytest.raises(OutputError, match=r"1 splat holds NaN .* row 7, which \.sog cannot store"):
-        refit(original, small, parameters=QUICK, format=".sog")
+    flat = small.with_sh_degree(0)
+    small.sh[7, 4, 1] = flat.sh[7, 0, 1] = np.nan
+    for model in (small, flat):
+        with pytest.raises(
+            OutputError, match=r"1 splat holds NaN .* row 7, which \.sog cannot store"
+        ):
+            refit(original, model, parameters=QUICK, format=".sog")
     with pytest.raises(OptionError, match="no option 'palete' \\(did you mean"):
         refit(original, small, parameters=QUICK, format_options={"palete": 3})
     fitted, _ = refit(original, small, parameters=QUICK)

@@ -13,7 +13,7 @@ from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import RefitReport
 from nanogs.fit.stages import refit_stages
 from nanogs.io import registry
-from nanogs.io.format import Format, FormatOptions, Sharing, given_options
+from nanogs.io.format import FormatOptions, given_options, shared_entries
 from nanogs.io.limits import refuse_unstorable
 from nanogs.io.models import Model, as_splats
 from nanogs.progress import PartProgress, Progress, Tracker
@@ -68,8 +68,8 @@ def refit(
         FormatError: A path cannot be read as a model.
         OptionError: An option is out of range, there are fewer than two cameras, or there is no
             such device or format.
-        OutputError: Splats are to share harmonics, and some of the small model's values cannot be
-            stored in the format.
+        OutputError: In files of the format splats share harmonics, and it cannot store some of the
+            small model's values.
         ModelError: A model has no visible splat, or the two do not show the same scene.
     """
     begin, clock = time.perf_counter(), StageClock()
@@ -96,7 +96,9 @@ def refit(
         large, given = as_splats(original, "the original"), as_splats(small, "the small model")
         _refuse_unusable(large, "original")
         _refuse_unusable(given, "small")
-        entries = _shared_entries(given, known, sharing)
+        if sharing is not None:  # such a value cannot be part of a shared set either
+            refuse_unstorable(given, known.suffix)
+        entries = shared_entries(sharing, given.sh_degree, len(given))
         tracker = Tracker(on_step, refit_stages(chosen, len(large), len(given)))
         tracker.begin("render")
         with clock.time("targets"):
@@ -187,18 +189,6 @@ def _listed(cameras: "Sequence[Camera] | Camera") -> "list[Camera]":
         raise OptionError("`cameras` of a refit must be a list of at least two nanogs.Camera.")
     check_cameras(found)
     return found
-
-
-def _shared_entries(small: Splats, known: Format, sharing: Sharing | None) -> int | None:
-    """Return how many sets of higher harmonics splats share in a file; None if each has its own.
-
-    Raises:
-        OutputError: Some value cannot be stored, so that it cannot be part of a shared set either.
-    """
-    if sharing is None or small.sh_degree == 0:
-        return None
-    refuse_unstorable(small, known.suffix)
-    return sharing.shared_entries(len(small))
 
 
 def _refuse_unusable(splats: Splats, name: str) -> None:

@@ -79,10 +79,22 @@ class Sharing(NamedTuple):
         part = count / max(whole, count, 1)
         return max(int(min(max(count / self.share, self.own * part), self.most * part)), 1)
 
-    def shared_entries(self, count: int, whole: int = 0) -> int | None:
-        """Return `entries`, or None if there are enough for each splat to have a set of its own."""
-        entries = self.entries(count, whole)
-        return entries if entries < count else None
+
+def shared_entries(
+    sharing: Sharing | None, sh_degree: int, count: int, whole: int = 0
+) -> int | None:
+    """Return how many sets of higher harmonics splats of a result share; None if each has its own.
+
+    Args:
+        sharing: How the file's splats share them, or None if they do not.
+        sh_degree: Degree of the result; at 0 there is nothing to share.
+        count: Number of these splats.
+        whole: Splats of the whole result, if they are a part of it.
+    """
+    if sharing is None or sh_degree == 0:
+        return None
+    entries = sharing.entries(count, whole)
+    return entries if entries < count else None
 
 
 @dataclass(frozen=True, slots=True)

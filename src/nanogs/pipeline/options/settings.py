@@ -9,7 +9,7 @@ from typing import Any
 from nanogs._version import __version__
 from nanogs.block_layouts import Chunked, Linked
 from nanogs.filters import Plain
-from nanogs.io.format import Sharing
+from nanogs.io.format import Sharing, shared_entries
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.options.views import AUTOMATIC, RequestedViews
@@ -194,9 +194,7 @@ class Settings:
         Returns:
             The number of sets, or None if each splat has its own.
         """
-        if self.sharing is None or self.result_layout.sh_degree == 0:
-            return None
-        return self.sharing.shared_entries(count, whole)
+        return shared_entries(self.sharing, self.result_layout.sh_degree, count, whole)
 
     @property
     def read_count(self) -> int:
