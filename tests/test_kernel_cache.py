@@ -5,11 +5,13 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
 import nanogs
 from builders import random_splats
+from nanogs.kernels import compiling
 
 LOCK = """
 from numba.core import caching
@@ -155,3 +157,26 @@ def test_processes_that_start_together_compile_each_kernel_once(package):
     compiled = sorted(int(child.communicate(timeout=100)[0]) for child in processes)
     assert compiled[:2] == [0, 0]
     assert compiled[2] > 0
+
+
+def test_a_callback_is_called_once_if_two_threads_begin_to_compile_at_once(monkeypatch):
+    class Waiting(list):
+        """Callbacks that another thread takes just after this one has seen that there are some."""
+
+        def __bool__(self):
+            found = list.__len__(self) > 0
+            if found and not others:
+                others.append(Thread(target=compiling.begin))
+                others[0].start()
+                others[0].join()
+            return found
+
+    told, others = [], []
+    monkeypatch.setattr(compiling, "_waiting", Waiting())
+    with compiling.watching(lambda _begun: None):
+        compiling.when_compiling(lambda: told.append(1))
+        for _ in range(2):
+            compiling.begin()
+        for _ in range(2 + len(others)):
+            compiling.end()
+    assert told == [1]

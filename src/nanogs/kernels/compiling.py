@@ -22,7 +22,8 @@ def when_compiling(callback: Callable[[], None]) -> None:
 
     It is not called if all kernels are in the cache.
     """
-    _waiting.append(callback)
+    with _lock:
+        _waiting.append(callback)
 
 
 @contextmanager
@@ -44,8 +45,10 @@ def begin() -> None:
     with _lock:
         _running += 1
         first = _running == 1
-    while _waiting:
-        _waiting.pop()()
+        callbacks = _waiting.copy()
+        _waiting.clear()
+    for callback in callbacks:
+        callback()
     if first:
         _notify(begun=True)
 
