@@ -8,8 +8,10 @@ import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
 
+from nanogs.kernels.policy import FASTMATH
+
 INDEX, WORD = ir.IntType(64), ir.IntType(32)
-FAST = ("contract", "nsz", "arcp", "reassoc")
+FAST = sorted(FASTMATH)  # a list, because llvmlite takes no set
 
 
 def reals(count: int) -> Any:
