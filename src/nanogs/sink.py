@@ -39,7 +39,8 @@ class Written(NamedTuple):
         splats: Number of splats.
         files: Files of the result, as paths relative to the folder, with slashes.
         bytes: Total size of these files and of the files that they refer to.
-        losses: The parts of the model that they leave out, one sentence each.
+        losses: The parts of the model that they leave out, and options without an effect, one
+            sentence each.
         sha256: Hexadecimal hash of the file, if there is a single one.
         judged: PSNR in dB and SSIM against the original model, and the number of views; None if not
             measured.
