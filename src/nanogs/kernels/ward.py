@@ -17,6 +17,9 @@ from nanogs.kernels.policy import exact_inline, exact_kernel, inline, parallel_k
 
 EMPTY = np.float32(math.inf)  # the square of a column without a point
 NOBODY = np.int32(-1)
+# A lower bound of a lane's cost, its last four bits replaced by the lane: positive numbers are
+# ordered like their bits. This one is above all.
+NO_KEY = np.int32(0x7FFFFFFF)
 TWO = np.float32(2)
 
 
@@ -108,19 +111,19 @@ def lay_out(
 def _take_nearest(
     i: int, points: F32, lengths: F32, weights: F32, first: int, width: int, holders: I32,
     lowest: F32, second: F32, tiles: I32, rounding: np.float32, partners: I32, costs: F32,
-    least: F32,
+    keys: I32,
 ) -> None:  # fmt: skip
     """Insert the nearest point of each lane of a cell as a partner of a point, if cheap enough.
 
     i: the point; first, width: columns of the cell; lowest, second: (16,) the two least squared
-    distances in each lane, less the point's own square; tiles: (16,) the tile of the lowest; least:
+    distances in each lane, less the point's own square; tiles: (16,) the tile of the lowest; keys:
     (16,) scratch; the others as in `near_partners`.
     """
     last = costs.shape[1] - 1
     hidden, nearest = -1, EMPTY  # hidden: the lane in which the point itself is the nearest
     length, v = lengths[i], weights[i]
     for lane in range(LANES):
-        least[lane] = EMPTY
+        keys[lane] = NO_KEY
         if lowest[lane] == EMPTY:
             continue
         partner = holders[first + tiles[lane] * LANES + lane]
@@ -130,16 +133,17 @@ def _take_nearest(
         nearest = min(nearest, lowest[lane])
         w = weights[partner]
         doubt = rounding * (length + lengths[partner])
-        least[lane] = (lowest[lane] + length - 2 * doubt) * (v / (v + w) * w)
+        least = np.float32(max((lowest[lane] + length - 2 * doubt) * (v / (v + w) * w), 0.0))
+        keys[lane] = (least.view(np.int32) & -LANES) | lane
     # By lower bounds of their costs, so that few are computed that cheaper ones replace.
     for _ in range(LANES):
-        lane = 0
-        for other in range(1, LANES):
-            if least[other] < least[lane]:
-                lane = other
-        if least[lane] == EMPTY or least[lane] > costs[i, last]:
+        key = NO_KEY
+        for place in range(LANES):
+            key = min(key, keys[place])
+        if key == NO_KEY or np.int32(key & -LANES).view(np.float32) > costs[i, last]:
             break
-        least[lane] = EMPTY
+        lane = int(key) & (LANES - 1)
+        keys[lane] = NO_KEY
         partner = holders[first + tiles[lane] * LANES + lane]
         if second[lane] - lowest[lane] <= rounding * (length + lengths[partner]):
             partner = _nearest(points, i, holders, first + lane, first + width)
@@ -185,7 +189,7 @@ def near_partners(
     lowest = np.empty((TOGETHER, LANES), np.float32)
     second = np.empty((TOGETHER, LANES), np.float32)
     tiles = np.empty((TOGETHER, LANES), np.int32)
-    least = np.empty(LANES, np.float32)
+    keys = np.empty(LANES, np.int32)
     for piece in range(start, stop):
         cell, at, end = pieces[piece, 0], pieces[piece, 1], pieces[piece, 2]
         first, width = bounds[cell], widths[cell]
@@ -203,7 +207,7 @@ def near_partners(
             for j in range(min(TOGETHER, end - at)):
                 _take_nearest(
                     order[at + j], points, lengths, weights, first, width, holders, lowest[j],
-                    second[j], tiles[j], rounding, partners, costs, least,
+                    second[j], tiles[j], rounding, partners, costs, keys,
                 )  # fmt: skip
             at += TOGETHER
 
