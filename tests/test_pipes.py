@@ -249,8 +249,8 @@ def test_levels_are_made_of_a_piped_model_whose_format_is_named(scene, tmp_path)
     assert_refused(run("lod", scene, tmp_path / "no", "--from", "ply", *fast), "leave it out")
 
 
-def with_stdout(redirection, *arguments):
-    """Run the command in a shell with a redirection of stdout, such as `>&-`."""
+def redirected(redirection, *arguments):
+    """Run the command in a shell with a redirection, such as `>&-`."""
     command = [sys.executable, "-m", "nanogs", *map(str, arguments)]
     return subprocess.run(
         ["sh", "-c", f'"$@" {redirection}', "sh", *command], capture_output=True, timeout=120
@@ -274,15 +274,25 @@ UNWRITABLE = pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/full
     ],
 )
 def test_a_full_disk_at_stdout_is_named(scene, arguments):
-    result = with_stdout(">/dev/full", *(word.format(scene) for word in arguments))
+    result = redirected(">/dev/full", *(word.format(scene) for word in arguments))
     assert_refused(result, "stdout: the disk or quota is full")
 
 
 @UNWRITABLE
 def test_a_closed_stdout_fails_only_what_writes_to_it(scene, tmp_path):
     small = ("simplify", scene, tmp_path / "a.ply", "--preset", "fast", "-n", "30", "-w")
-    result = with_stdout(">&-", *small)
+    result = redirected(">&-", *small)
     assert (result.returncode, result.stdout) == (0, b"")
     assert nanogs.info(tmp_path / "a.ply").file.splats == 30
-    assert_refused(with_stdout(">&-", *small, "--json"), "stdout cannot be written")
-    assert_refused(with_stdout(">&-", "info", scene), "stdout cannot be written")
+    assert_refused(redirected(">&-", *small, "--json"), "stdout cannot be written")
+    assert_refused(redirected(">&-", "info", scene), "stdout cannot be written")
+
+
+@UNWRITABLE
+def test_a_full_disk_at_stderr_ends_no_run(scene, tmp_path):
+    small = ("simplify", scene, tmp_path / "a.ply", "--preset", "fast", "-n", "30", "-w")
+    result = redirected("2>/dev/full", *small)
+    assert (result.returncode, result.stdout, result.stderr) == (0, b"", b"")
+    assert nanogs.info(tmp_path / "a.ply").file.splats == 30
+    assert redirected("2>/dev/full", *small[:-1]).returncode == 2  # the file exists
+    assert redirected("2>&-", *small).returncode == 0

@@ -15,7 +15,7 @@ import typer
 import nanogs
 from builders import model_bytes, random_splats
 from nanogs import io
-from nanogs.cli.stdout import named_stdout
+from nanogs.cli.standard_streams import named_stdout
 from nanogs.errors import OutputError
 from nanogs.splats import ExtraElement, Splats
 

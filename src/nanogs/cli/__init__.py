@@ -5,14 +5,15 @@ import sys
 
 from nanogs.cli.cancel import listen
 from nanogs.cli.importing import without_gc
-from nanogs.cli.stdout import discard, named_stdout
+from nanogs.cli.standard_streams import discard, named_stdout, optional_stderr
 
 
 def main() -> None:
     """Run the command; a user's error prints one sentence and exits with code 2."""
     listen()
     try:
-        code = _run()
+        with optional_stderr():
+            code = _run()
     finally:
         gc.freeze()  # no final garbage collection: the operating system frees the memory anyway
     sys.exit(code)

@@ -1,9 +1,12 @@
-"""stdout: its failures, such as a full disk, become errors; what it cannot encode is escaped."""
+"""stdout and stderr that cannot be written: an error for the one, for the other no more messages.
+
+What stdout cannot encode is escaped.
+"""
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +23,29 @@ def named_stdout() -> Iterator[None]:
     if stream is None:
         unwritable = os.open(os.devnull, os.O_RDONLY)
         stream = os.fdopen(unwritable, "w", encoding="utf-8")
-    proxy: Any = _Named(stream)
+
+    def fail(error: OSError) -> None:
+        from nanogs.io.atomic import output_error
+
+        raise output_error(Path("stdout"), error) from error
+
+    proxy: Any = _Guarded(stream, fail)
     with redirect_stdout(proxy):
+        yield
+
+
+@contextmanager
+def optional_stderr() -> Iterator[None]:
+    """Within the context, drop messages from the first one that stderr cannot take, as of a log.
+
+    A long run should not end because its log's disk is full; its exit code says how it went. A pipe
+    that its reader has closed still raises `BrokenPipeError`.
+    """
+    if sys.stderr is None:  # closed from the start: Python drops everything itself
+        yield
+        return
+    proxy: Any = _Guarded(sys.stderr, lambda _: None)
+    with redirect_stderr(proxy):
         yield
 
 
@@ -33,25 +57,26 @@ def discard(stream: Any) -> None:  # noqa: ANN401 - a stream of text or bytes
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-class _Named:
-    """A stream, and its `buffer`, whose failures raise an `OutputError`."""
+class _Guarded:
+    """A stream, and its `buffer`; from its first failure, which is handled, it goes nowhere."""
 
-    def __init__(self, stream: Any) -> None:  # noqa: ANN401 - of text or bytes
-        self._stream = stream
+    def __init__(self, stream: Any, handle: Callable[[OSError], None]) -> None:  # noqa: ANN401 - of text or bytes
+        self._stream, self._handle = stream, handle
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - any of the stream's
         return getattr(self._stream, name)
 
     @property
-    def buffer(self) -> "_Named":
-        return _Named(self._stream.buffer)
+    def buffer(self) -> "_Guarded":
+        return _Guarded(self._stream.buffer, self._handle)
 
     def write(self, data: Any) -> int:  # noqa: ANN401 - text or bytes
         if isinstance(data, str):
             code = self._stream.encoding or "utf-8"
             data = data.encode(code, "backslashreplace").decode(code)
         with self._failures():
-            return int(self._stream.write(data))
+            self._stream.write(data)
+        return len(data)
 
     def writelines(self, lines: Any) -> None:  # noqa: ANN401 - several of them
         for line in lines:
@@ -68,7 +93,5 @@ class _Named:
         except BrokenPipeError:
             raise
         except OSError as error:
-            from nanogs.io.atomic import output_error
-
             discard(self._stream)
-            raise output_error(Path("stdout"), error) from error
+            self._handle(error)
