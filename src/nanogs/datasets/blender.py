@@ -73,13 +73,13 @@ def _size(row: dict[str, Any], where: str, photo: Path | None) -> tuple[int, int
         if photo is not None and photo_size(photo) != stated:
             raise FormatError(
                 f"{photo}: is {photo_size(photo)} pixels, but {where} states {stated}; use the"
-                " photographs that the cameras were made for"
+                " photographs that the cameras were made for."
             )
         return stated
     if photo is None:
         raise FormatError(
             f"{where}: the image size is unknown, because there is neither 'w' and 'h' nor the"
-            " photograph; add 'w' and 'h', in pixels, or put the photographs where file_path says"
+            " photograph; add 'w' and 'h', in pixels, or put the photographs where file_path says."
         )
     return photo_size(photo)
 
@@ -99,7 +99,7 @@ def _focal_along(axis: str, row: dict[str, Any], side: int, where: str) -> float
     if not _MIN_ANGLE <= angle < math.pi:
         raise FormatError(
             f"{where}: {name} is {angle:g}, but must be an angle between 0 and pi radians; export"
-            " the cameras again"
+            " the cameras again."
         )
     return 0.5 * side / math.tan(0.5 * angle)
 
@@ -109,7 +109,7 @@ def _pose(value: object, where: str) -> F64:
     if np.abs(camera_to_world[3] - (0, 0, 0, 1)).max() > fields.RIGID_TOLERANCE:
         raise FormatError(
             f"{where}: the last row of its transform_matrix is not 0 0 0 1; export the cameras"
-            " again, with the matrix in row-major order"
+            " again, with the matrix in row-major order."
         )
     rotation = camera_to_world[:3, :3] * _OPENGL_TO_OPENCV  # columns are the camera's axes
     return fields.inverted(rotation, camera_to_world[:3, 3], where)
@@ -125,7 +125,7 @@ def _lens(row: dict[str, Any], where: str) -> Lens:
     if model not in (*_PINHOLES, _FISHEYE):
         raise FormatError(
             f"{where}: its camera model {fields.shown(model)} is not a pinhole camera; export the"
-            " cameras as pinhole cameras"
+            " cameras as pinhole cameras."
         )
     given = {key: fields.number(row.get(key, 0.0), f"{where}, {key}") for key in _DISTORTION}
     radial = [given[f"k{power}"] for power in range(1, 7)]

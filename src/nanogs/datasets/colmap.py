@@ -39,7 +39,7 @@ def read_model(folder: Path) -> list[Camera]:
     """
     cameras, images = _read(folder)
     if not images:
-        raise FormatError(f"{folder}: holds no registered image; run COLMAP's mapper again")
+        raise FormatError(f"{folder}: holds no registered image; run COLMAP's mapper again.")
     fields.refuse_repeats((camera.camera_id for camera in cameras), str(folder), "camera")
     fields.refuse_repeats((image.image_id for image in images), str(folder), "image id")
     fields.refuse_repeats((image.name for image in images), str(folder), "image")
@@ -67,7 +67,7 @@ def scaled(camera: Camera, size: tuple[int, int], where: str) -> Camera:
         raise FormatError(
             f"{where}: is {size[0]}x{size[1]} pixels, which is not a scaled version of the"
             f" {camera.width}x{camera.height} of its camera; use the photographs that COLMAP was"
-            " run on"
+            " run on."
         )
     across, down = size[0] / camera.width, size[1] / camera.height
     return replace(
@@ -97,7 +97,7 @@ def _read(folder: Path) -> tuple[list[ColmapCamera], list[ColmapImage]]:
         text = folder / "cameras.txt", folder / "images.txt"
         return read_cameras_text(text[0]), read_images_text(text[1])
     raise FormatError(
-        f"{folder}: lacks cameras and images as .bin or .txt; give a COLMAP sparse model"
+        f"{folder}: lacks cameras and images as .bin or .txt; give a COLMAP sparse model."
     )
 
 
@@ -107,7 +107,7 @@ def _join(image: ColmapImage, cameras: dict[int, ColmapCamera], folder: Path) ->
     if image.camera_id not in cameras:
         raise FormatError(
             f"{where}: refers to camera {image.camera_id}, which is not in the model; "
-            "export the model again from COLMAP"
+            "export the model again from COLMAP."
         )
     camera = cameras[image.camera_id]
     focal, centre = intrinsics(camera)
@@ -122,7 +122,7 @@ def _pose(image: ColmapImage, where: str) -> F64:
     if abs(norm - 1) > fields.RIGID_TOLERANCE:
         raise FormatError(
             f"{where}: its rotation is a quaternion of length {norm:g}, not 1; "
-            "export the model again from COLMAP"
+            "export the model again from COLMAP."
         )
     unit = [value / norm for value in quaternion]  # as COLMAP does on reading
     pose = np.eye(4)

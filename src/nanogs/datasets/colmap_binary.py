@@ -58,19 +58,19 @@ class _Cursor:
         except UnicodeDecodeError as error:
             raise FormatError(
                 f"{self.path}: holds an image name that is not UTF-8; rename the photograph and "
-                "run COLMAP again"
+                "run COLMAP again."
             ) from error
 
     def finish(self) -> None:
         if self._at != len(self._data):
             raise FormatError(
                 f"{self.path}: has more data after its last entry; export the model again from"
-                " COLMAP"
+                " COLMAP."
             )
 
     def truncated(self) -> FormatError:
         return FormatError(
-            f"{self.path}: ends before its last entry; copy it again or export it from COLMAP"
+            f"{self.path}: ends before its last entry; copy it again or export it from COLMAP."
         )
 
 
@@ -81,9 +81,9 @@ def _mapped(path: Path) -> Iterator[_Cursor]:
         with path.open("rb") as file:
             data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except ValueError as error:
-        raise FormatError(f"{path}: is empty; copy it again or export it from COLMAP") from error
+        raise FormatError(f"{path}: is empty; copy it again or export it from COLMAP.") from error
     except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror}); check the path.") from error
     with data:
         refuse_stand_in(path, data[:HEAD_BYTES], "file of cameras")
         yield _Cursor(path, data)

@@ -118,5 +118,5 @@ def unknown_model(where: str, given: object) -> FormatError:
     """Return the error for a camera model that is not in `MODELS`."""
     return FormatError(
         f"{where}: camera model {given} is not known; "
-        "undistort photographs and cameras with colmap image_undistorter"
+        "undistort photographs and cameras with colmap image_undistorter."
     )

@@ -60,7 +60,7 @@ def _camera(words: list[str], where: str) -> ColmapCamera:
     if len(params) != model.count:
         raise FormatError(
             f"{where}: model {model.name} has {model.count} parameters, not {len(params)}; "
-            "export the model again from COLMAP"
+            "export the model again from COLMAP."
         )
     return ColmapCamera(camera_id, model, (width, height), params)
 
@@ -85,9 +85,9 @@ def _check_observations(words: list[str], where: str) -> None:
     except ValueError as error:
         raise FormatError(
             f"{where}: must be the list of observations of an image; keep a line, which may be"
-            " empty, below the line of each image"
+            " empty, below the line of each image."
         ) from error
 
 
 def _unreadable(where: str, noun: str) -> FormatError:
-    return FormatError(f"{where}: is not {noun}; export the model again from COLMAP")
+    return FormatError(f"{where}: is not {noun}; export the model again from COLMAP.")

@@ -67,11 +67,11 @@ class Dataset:
             OptionError: `name` is not a split.
         """
         if name not in ("test", "train"):
-            raise OptionError(f"split {name!r}: choose 'test' or 'train'")
+            raise OptionError(f"split {name!r}: choose 'test' or 'train'.")
         frames = self._blender(name) if self.images is None else self._colmap(name, self.images)
         if not frames:
             raise NoViewsError(
-                f"{self.path}: its few images leave none for the {name} split; use a larger set"
+                f"{self.path}: its few images leave none for the {name} split; use a larger set."
             )
         return frames
 
@@ -117,7 +117,7 @@ class Dataset:
         file = self.path / f"transforms_{name}.json"
         if not is_file(file):
             raise NoViewsError(
-                f"{self.path}: has no {name} split; put its cameras into {file.name}"
+                f"{self.path}: has no {name} split; put its cameras into {file.name}."
             )
         return [
             replace(
@@ -153,22 +153,22 @@ def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
     """
     folder = Path(path)
     if not folder.exists():
-        raise FormatError(f"{folder}: does not exist; check the path")
+        raise FormatError(f"{folder}: does not exist; check the path.")
     if not folder.is_dir():
         raise FormatError(
             f"{folder}: is not a folder, but the photographs are needed besides the cameras; give"
-            " the folder of the data set"
+            " the folder of the data set."
         )
     if _sparse(folder) is not None:
         return Dataset("colmap", folder, _image_folder(folder, images))
     if not any(is_file(folder / name) for name in _BLENDER_FILES):
         raise FormatError(
             f"{folder}: holds neither transforms_test.json nor sparse/0 with photographs; "
-            "give the folder of a NeRF-Synthetic or COLMAP data set"
+            "give the folder of a NeRF-Synthetic or COLMAP data set."
         )
     if images is not None:
         raise OptionError(
-            f"{folder}: its transforms files say where the photographs are; leave images out"
+            f"{folder}: its transforms files say where the photographs are; leave images out."
         )
     return Dataset("blender", folder)
 
@@ -207,7 +207,7 @@ def _view(camera: Camera) -> tuple[str, bytes]:
 def _camera_files(place: Path) -> list[Path]:
     if not place.is_dir():
         if place.suffix in (".bin", ".txt") and find_model(place.parent) == place.parent:
-            raise FormatError(f"{place}: is one file of a COLMAP model; give its folder")
+            raise FormatError(f"{place}: is one file of a COLMAP model; give its folder.")
         return [place]
     files = [place / name for name in _BLENDER_FILES if is_file(place / name)]
     if not files and is_file(place / "cameras.json"):
@@ -215,7 +215,7 @@ def _camera_files(place: Path) -> list[Path]:
     if not files:
         raise FormatError(
             f"{place}: holds no cameras; give a transforms.json, a cameras.json or a folder with "
-            "sparse/0"
+            "sparse/0."
         )
     return files
 
@@ -242,7 +242,7 @@ def _image_folder(folder: Path, images: str | None) -> Path:
     if others and images is None:  # `nanogs bench` has no such option
         remedy += ", or rename that folder to images"
     problem = FormatError if images is None else OptionError
-    raise problem(f"{chosen}: is no folder of photographs; {remedy}")
+    raise problem(f"{chosen}: is no folder of photographs; {remedy}.")
 
 
 def _frame_in(images: Path, camera: Camera) -> Frame:
@@ -259,5 +259,5 @@ def _straight(camera: Camera, photo: Path) -> Frame:
 
 def _present(photo: Path | None, place: Path, name: str) -> Path:
     if photo is None:
-        raise FormatError(f"{place}: has no photograph {name}; restore it or remove its camera")
+        raise FormatError(f"{place}: has no photograph {name}; restore it or remove its camera.")
     return photo

@@ -33,10 +33,10 @@ def read_text(path: Path) -> str:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise FormatError(
-            f"{path}: cannot be read ({error.strerror or error}); check the path"
+            f"{path}: cannot be read ({error.strerror or error}); check the path."
         ) from error
     except ValueError as error:
-        raise FormatError(f"{path}: is not UTF-8 text; export the cameras again") from error
+        raise FormatError(f"{path}: is not UTF-8 text; export the cameras again.") from error
     refuse_stand_in(path, text[:HEAD_BYTES].encode(), "file of cameras")
     return text
 
@@ -50,14 +50,15 @@ def read_json(path: Path) -> Any:  # noqa: ANN401 - callers check the shape
     try:
         return json.loads(read_text(path))
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: is not JSON ({error}); export the cameras again") from error
+        raise FormatError(f"{path}: is not JSON ({error}); export the cameras again.") from error
 
 
 def entry(value: object, where: str) -> dict[str, Any]:
     """Return a JSON object, refusing anything else with a `FormatError`."""
     if not isinstance(value, dict):
         raise FormatError(
-            f"{where}: holds {shown(value)} where a JSON object is needed; export the cameras again"
+            f"{where}: holds {shown(value)} where a JSON object is needed; export the cameras"
+            " again."
         )
     return value
 
@@ -72,7 +73,7 @@ def entries(value: object, where: str) -> list[dict[str, Any]]:
         problem = NoViewsError if value == [] else FormatError
         raise problem(
             f"{where}: needs a list of at least one camera, not {shown(value)}; "
-            "export the cameras again"
+            "export the cameras again."
         )
     return [entry(item, f"{where}, entry {row}") for row, item in enumerate(value)]
 
@@ -80,7 +81,7 @@ def entries(value: object, where: str) -> list[dict[str, Any]]:
 def text(value: object, where: str) -> str:
     """Return a non-empty string, refusing anything else with a `FormatError`."""
     if not isinstance(value, str) or not value:
-        raise FormatError(f"{where}: is {shown(value)} where a name is needed; export it again")
+        raise FormatError(f"{where}: is {shown(value)} where a name is needed; export it again.")
     return value
 
 
@@ -90,7 +91,7 @@ def number(value: object, where: str, limit: float = MAX_PIXELS) -> float:
     plain = isinstance(value, int | float) and not isinstance(value, bool)
     if not plain or not -limit <= value <= limit:  # type: ignore[operator]
         raise FormatError(
-            f"{where}: is {shown(value)} where a finite number is needed; export the cameras again"
+            f"{where}: is {shown(value)} where a finite number is needed; export the cameras again."
         )
     return float(value)  # type: ignore[arg-type]
 
@@ -101,7 +102,7 @@ def side(value: object, where: str) -> int:
     if not 1 <= size <= MAX_SIDE or not size.is_integer():
         raise FormatError(
             f"{where}: is {shown(value)} where an image side of 1 to {MAX_SIDE} pixels is needed; "
-            "export the cameras again"
+            "export the cameras again."
         )
     return int(size)
 
@@ -116,7 +117,7 @@ def matrix(value: object, shape: tuple[int, int], where: str) -> F64:
     flat = [item for row in rows if isinstance(row, list) and len(row) == shape[1] for item in row]
     if len(rows) != shape[0] or len(flat) != shape[0] * shape[1]:
         raise FormatError(
-            f"{where}: is not a {shape[0]}x{shape[1]} matrix; export the cameras again"
+            f"{where}: is not a {shape[0]}x{shape[1]} matrix; export the cameras again."
         )
     return np.array([number(item, where, MAX_DISTANCE) for item in flat]).reshape(shape)
 
@@ -141,7 +142,7 @@ def inverted(rotation: F64, position: F64, where: str) -> F64:
     if not (np.abs(off).max() <= RIGID_TOLERANCE and np.linalg.det(rotation) > 0):
         raise FormatError(
             f"{where}: its pose is not a rotation and a translation; "
-            "export the cameras without scale, shear or mirroring"
+            "export the cameras without scale, shear or mirroring."
         )
     camera_to_world = np.eye(4)
     camera_to_world[:3, :3] = rotation
@@ -179,7 +180,7 @@ def pinhole(
     if fx <= 0 or fy <= 0:
         raise FormatError(
             f"{where}: its focal length is {min(fx, fy):g} where a positive number of pixels is "
-            "needed; export the cameras again"
+            "needed; export the cameras again."
         )
     bent = lens if lens and lens.bends() else None
     return Camera(width, height, fx, fy, cx, cy, world_to_camera, name, lens=bent)
@@ -190,7 +191,7 @@ def refuse_repeats(names: Iterable[object], where: str, noun: str) -> None:
     seen = set()
     for name in names:
         if name in seen:
-            raise FormatError(f"{where}: lists {noun} {name} twice; remove one of the entries")
+            raise FormatError(f"{where}: lists {noun} {name} twice; remove one of the entries.")
         seen.add(name)
 
 

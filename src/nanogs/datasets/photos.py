@@ -128,11 +128,11 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             with _identified(file, head) as image:
                 yield image
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        raise FormatError(f"{path}: has too many pixels; use smaller photographs") from error
+        raise FormatError(f"{path}: has too many pixels; use smaller photographs.") from error
     except _DAMAGED as error:
         reason = getattr(error, "strerror", None) or type(error).__name__
         raise FormatError(
-            f"{path}: is not a readable photograph ({reason}); restore the image file"
+            f"{path}: is not a readable photograph ({reason}); restore the image file."
         ) from error
 
 
@@ -152,11 +152,11 @@ def _check_decodable(path: Path, image: Image.Image, size: tuple[int, int]) -> N
     if image.size != size:
         raise FormatError(
             f"{path}: is {image.size[0]}x{image.size[1]} pixels, but its camera is"
-            f" {size[0]}x{size[1]}; use the photographs that the cameras were made for"
+            f" {size[0]}x{size[1]}; use the photographs that the cameras were made for."
         )
     if image.mode.split(";")[0] in _WIDE:
         raise FormatError(
-            f"{path}: has pixels of type {image.mode}; convert it to 8 bits a channel"
+            f"{path}: has pixels of type {image.mode}; convert it to 8 bits a channel."
         )
 
 
@@ -164,7 +164,7 @@ def _checked_background(background: Sequence[float] | F) -> F32:
     try:
         colour = np.asarray(background, dtype=np.float32)
     except (TypeError, ValueError) as error:
-        raise OptionError(f"background {background!r}: give three numbers from 0 to 1") from error
+        raise OptionError(f"background {background!r}: give three numbers from 0 to 1.") from error
     if colour.shape != (3,) or not np.all((colour >= 0) & (colour <= 1)):
-        raise OptionError(f"background {background!r}: give three numbers from 0 to 1")
+        raise OptionError(f"background {background!r}: give three numbers from 0 to 1.")
     return colour

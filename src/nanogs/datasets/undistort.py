@@ -36,7 +36,7 @@ def straightened(camera: Camera, where: str) -> Camera:
     if not lens.known:
         raise FormatError(
             f"{where}: the distortion of its camera's lens, {lens.name}, cannot be removed from the"
-            " photograph; undistort photographs and cameras with colmap image_undistorter"
+            " photograph; undistort photographs and cameras with colmap image_undistorter."
         )
     inside = camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
     zoom = _zoom(lens, inside)
@@ -44,7 +44,7 @@ def straightened(camera: Camera, where: str) -> Camera:
         raise FormatError(
             f"{where}: the distortion of its camera's lens, {lens.name}, is too strong to be"
             " removed from the photograph; undistort photographs and cameras with colmap"
-            " image_undistorter"
+            " image_undistorter."
         )
     return replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom, lens=None)
 
