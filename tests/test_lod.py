@@ -121,6 +121,7 @@ def test_the_number_of_threads_is_restored_between_levels(splats):
         ([1.5], "1.5"),
         ("0.5", r"a sequence of numbers, such as \[0.5, 0.1\], not '0.5'"),
         (b"0.5", "a sequence of numbers"),
+        (np.array(0.5), "a sequence of numbers"),
     ],
 )
 def test_bad_ratios_are_refused_at_once(splats, ratios, message):

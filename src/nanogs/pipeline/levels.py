@@ -122,7 +122,8 @@ def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
     Raises:
         OptionError: There are none, one is out of range, or they are not strictly decreasing.
     """
-    if not isinstance(ratios, Iterable) or isinstance(ratios, str | bytes):
+    single = isinstance(ratios, str | bytes) or getattr(ratios, "ndim", 1) == 0
+    if single or not isinstance(ratios, Iterable):
         raise OptionError(
             "The ratios of levels must be a sequence of numbers, such as [0.5, 0.1], not"
             f" {ratios!r}."
