@@ -79,13 +79,22 @@ def _target(path: Path, *, overwrite: bool) -> Path:
         return target
 
 
-def _check_target(path: Path, target: Path, *, overwrite: bool) -> None:
-    if target.is_dir():
-        raise OutputError(f"{path} is a folder; name a file in it as the output.")
+def refuse_without_parent(target: Path) -> None:
+    """Refuse an output for which there is no folder.
+
+    Raises:
+        OutputError: The folder does not exist, or is a file.
+    """
     if not target.parent.exists():
         raise OutputError(f"The folder {target.parent} does not exist; create it first.")
     if not target.parent.is_dir():
         raise OutputError(f"{target.parent} is no folder; choose another output.")
+
+
+def _check_target(path: Path, target: Path, *, overwrite: bool) -> None:
+    if target.is_dir():
+        raise OutputError(f"{path} is a folder; name a file in it as the output.")
+    refuse_without_parent(target)
     if not target.exists():
         return
     if not target.is_file():

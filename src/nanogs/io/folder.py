@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 from nanogs.cleanup import defer_exit
 from nanogs.errors import ExistsError, OutputError, shown_as
-from nanogs.io.atomic import writing
+from nanogs.io.atomic import refuse_without_parent, writing
 from nanogs.io.temporary import left_beside, locked, name_beside, temporary
 
 Ours = Callable[[Path], frozenset[str] | None]
@@ -84,10 +84,7 @@ def _target(path: Path, ours: Ours, *, overwrite: bool) -> Path:
 
 
 def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> None:
-    if not target.parent.exists():
-        raise OutputError(f"The folder {target.parent} does not exist; create it first.")
-    if not target.parent.is_dir():
-        raise OutputError(f"{target.parent} is no folder; choose another output.")
+    refuse_without_parent(target)
     if not target.exists():
         return
     if not target.is_dir():
