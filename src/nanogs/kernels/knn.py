@@ -13,7 +13,7 @@ rounding included.
 import numpy as np
 
 from nanogs._types import F64, I32, I64, Bool
-from nanogs.kernels.knn_tree import DEEPEST, squared_length
+from nanogs.kernels.knn_tree import DEEPEST, push, squared_length
 from nanogs.kernels.lanes import LANES, box_keys, distance_keys, insert, lowest_bit, within
 from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
 
@@ -101,14 +101,6 @@ def _load_queries(leaf: int, points: F64, rows: I32, queries: F64, lists: I32, c
 
 
 @exact_inline
-def _push(stack: I64, waiting: int, node: int, first: int, last: int) -> int:
-    stack[3 * waiting] = node
-    stack[3 * waiting + 1] = first
-    stack[3 * waiting + 2] = last
-    return waiting + 1
-
-
-@exact_inline
 def _push_children(
     boxes: F64, home: int, node: int, first: int, last: int, stack: I64, gaps: F64, waiting: int
 ) -> int:
@@ -118,10 +110,10 @@ def _push_children(
     right = _box_to_box(boxes, home, 2 * node + 1)
     gaps[waiting], gaps[waiting + 1] = max(left, right), min(left, right)
     if left > right:
-        waiting = _push(stack, waiting, 2 * node, first, middle)
-        return _push(stack, waiting, 2 * node + 1, middle, last)
-    waiting = _push(stack, waiting, 2 * node + 1, middle, last)
-    return _push(stack, waiting, 2 * node, first, middle)
+        waiting = push(stack, waiting, 2 * node, first, middle)
+        return push(stack, waiting, 2 * node + 1, middle, last)
+    waiting = push(stack, waiting, 2 * node + 1, middle, last)
+    return push(stack, waiting, 2 * node, first, middle)
 
 
 @exact_inline
@@ -131,12 +123,12 @@ def _path_to(leaf: int, leaves: int, boxes: F64, stack: I64, gaps: F64) -> int:
     while last - first > 1:
         middle = (first + last) // 2
         if leaf < middle:
-            waiting = _push(stack, waiting, 2 * node + 1, middle, last)
+            waiting = push(stack, waiting, 2 * node + 1, middle, last)
             node, last = 2 * node, middle
         else:
-            waiting = _push(stack, waiting, 2 * node, first, middle)
+            waiting = push(stack, waiting, 2 * node, first, middle)
             node, first = 2 * node + 1, middle
-    waiting = _push(stack, waiting, node, leaf, leaf + 1)
+    waiting = push(stack, waiting, node, leaf, leaf + 1)
     for place in range(waiting):
         gaps[place] = _box_to_box(boxes, node, stack[3 * place])
     return waiting

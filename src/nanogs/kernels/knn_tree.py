@@ -23,6 +23,15 @@ def squared_length(x: float, y: float, z: float) -> float:
 
 
 @exact_inline
+def push(stack: I64, waiting: int, node: int, first: int, last: int) -> int:
+    """Push a node and its leaves [first, last) on a stack; return the number that wait there."""
+    stack[3 * waiting] = node
+    stack[3 * waiting + 1] = first
+    stack[3 * waiting + 2] = last
+    return waiting + 1
+
+
+@exact_inline
 def _swap(points: F64, rows: I32, i: int, j: int) -> None:
     n = len(rows)
     points[i], points[j] = points[j], points[i]
@@ -141,22 +150,17 @@ def _split_all(
 ) -> None:  # fmt: skip
     """Split a node and, if `below`, all nodes below it.
 
-    sample: (_SAMPLE,) and stack: (DEEPEST, 3) scratch, of nodes and their first and last leaf.
+    sample: (_SAMPLE,) and stack: (3 DEEPEST,) scratch.
     """
-    stack[0, 0], stack[0, 1], stack[0, 2] = node, first, last
-    waiting = 1
+    waiting = push(stack, 0, node, first, last)
     while waiting > 0:
         waiting -= 1
-        node, first, last = stack[waiting, 0], stack[waiting, 1], stack[waiting, 2]
+        node, first, last = stack[3 * waiting], stack[3 * waiting + 1], stack[3 * waiting + 2]
         _split(points, rows, boxes, node, first, last, sample)
         if below and last - first > 1:
             middle = (first + last) // 2
-            top = stack[waiting]
-            top[0], top[1], top[2] = 2 * node + 1, middle, last
-            waiting += 1
-            top = stack[waiting]
-            top[0], top[1], top[2] = 2 * node, first, middle
-            waiting += 1
+            waiting = push(stack, waiting, 2 * node + 1, middle, last)
+            waiting = push(stack, waiting, 2 * node, first, middle)
 
 
 @exact_parallel_kernel("nodes", least=1)
@@ -165,7 +169,7 @@ def _split_nodes(
 ) -> None:
     """Split nodes of one level and, if `below`, all nodes below them."""
     leaves = (len(rows) + LANES - 1) // LANES
-    sample, stack = np.empty(_SAMPLE), np.empty((DEEPEST, 3), np.int64)
+    sample, stack = np.empty(_SAMPLE), np.empty(3 * DEEPEST, np.int64)
     for place in range(start, stop):
         first, last = _leaves_below(nodes[place], leaves)
         if last > first:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from nanogs._types import F64, I32
-from nanogs.kernels.knn_tree import DEEPEST, squared_length
+from nanogs.kernels.knn_tree import DEEPEST, push, squared_length
 from nanogs.kernels.lanes import LANES
 from nanogs.kernels.policy import exact_inline, exact_parallel_kernel
 
@@ -47,12 +47,11 @@ def find_nearest(
                 left = _to_box(x, y, z, boxes, 2 * node)
                 right = _to_box(x, y, z, boxes, 2 * node + 1)
                 for side in (left > right, left <= right):  # the nearer one on top
-                    at = 3 * waiting
-                    stack[at] = 2 * node + (0 if side else 1)
-                    stack[at + 1] = first if side else middle
-                    stack[at + 2] = middle if side else last
                     gaps[waiting] = left if side else right
-                    waiting += 1
+                    if side:
+                        waiting = push(stack, waiting, 2 * node, first, middle)
+                    else:
+                        waiting = push(stack, waiting, 2 * node + 1, middle, last)
                 continue
             for p in range(first * LANES, min(n, last * LANES)):
                 square = squared_length(x - points[p], y - points[n + p], z - points[2 * n + p])
