@@ -52,8 +52,8 @@ def refuse_without_views(rendered: bool, needed: str, options: Given) -> None:
     Raises:
         OptionError: Such an option is given without one of those.
     """
-    for option, value in () if rendered else options.items():
-        if value is not None:
+    for option, value in options.items():
+        if value is not None and not rendered:
             raise OptionError(
                 f"{option} works only with {needed}; add one of these, such as --views 8, or leave"
                 " it out."
