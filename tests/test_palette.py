@@ -15,6 +15,7 @@ from nanogs.io.cells import by_label, nearby_cells
 from nanogs.io.palette import palette
 from nanogs.io.ward import _Nodes, _Table, merge_points, settle
 from nanogs.kernels.closest import LANES, TOGETHER, closest
+from nanogs.kernels.kmeans import nearest_cells
 from nanogs.kernels.policy import kernel
 from nanogs.kernels.ward import NOBODY
 from nanogs.progress import ignore_progress
@@ -34,13 +35,17 @@ def test_the_two_smallest_sums_of_each_lane_are_found(find_closest):
     squares = rng.normal(size=5 * LANES).astype(np.float32)
     for tiles in (1, 2, 5):
         least, second = np.empty((2, TOGETHER, LANES), np.float32)
-        entries = np.zeros((TOGETHER, LANES), np.int32)
+        entries = np.full((TOGETHER, LANES), -1, np.int32)
         find_closest(factors, columns, squares, tiles, least, second, entries)
         sums = (squares + factors.astype(float) @ columns).reshape(TOGETHER, 5, LANES)[:, :tiles]
         assert np.array_equal(entries, sums.argmin(axis=1))
         sums.sort(axis=1)
         assert least == pytest.approx(sums[:, 0], abs=1e-5)
         assert second == pytest.approx(sums[:, 1] if tiles > 1 else np.inf, abs=1e-5)
+    squares[:] = np.inf  # no columns at all
+    find_closest(factors, columns, squares, 5, least, second, entries)
+    assert np.isinf([least, second]).all()
+    assert not entries.any()
 
 
 # ---- finding partners --------------------------------------------------------------------------
@@ -215,11 +220,13 @@ def test_a_table_has_each_point_once():
     points = some_points(7, 100)
     home = np.random.default_rng(7).integers(0, 5, 50).astype(np.int32)
     rows = np.arange(0, 100, 2)
-    lengths = (points**2).sum(axis=1)
-    table = _Table(points, lengths, rows, home, 6)
+    lengths, weights = (points**2).sum(axis=1), np.arange(1, 101, dtype=np.float32)
+    table = _Table(points, lengths, weights, rows, home, 6)
     entries = table.holders[table.holders != NOBODY]
     assert np.array_equal(np.sort(entries), rows)
     assert np.isinf(table.squares[table.holders == NOBODY]).all()
+    assert np.array_equal(table.squares[table.places[rows]], lengths[rows])
+    assert np.array_equal(table.masses[table.places[rows]], weights[rows])
     for row in rows:
         cell = home[row // 2]
         block = table.values[9 * table.bounds[cell] :][: 9 * table.widths[cell]]
@@ -327,3 +334,18 @@ def test_nearby_cells_are_listed_nearest_first():
     listed_distances = np.take_along_axis(distances, cells.astype(int), axis=1)
     assert (listed_distances[:, 0] < listed_distances[:, 1]).mean() > 0.9
     assert (listed_distances[:, 0] <= distances.min(axis=1) + 1e-6).mean() > 0.8
+
+
+@pytest.mark.parametrize("near", [1, 2])
+@pytest.mark.parametrize("step", [0, 0.5])
+@pytest.mark.parametrize("count", [2, 19, 200])
+def test_the_nearest_centres_are_found(near, step, count):
+    points, centres = some_points(15, 501, step), some_points(16, count, step)
+    columns = np.zeros((9, -(-count // LANES) * LANES), np.float32)
+    squares = np.full(columns.shape[1], np.inf, np.float32)
+    columns[:, :count], squares[:count] = centres.T, np.square(centres).sum(axis=1)
+    cells = np.empty((501, near), np.int32)
+    nearest_cells(points, columns, squares, cells)
+    distances = ((points[:, None].astype(float) - centres) ** 2).sum(axis=-1)
+    expected = distances.argsort(axis=1, kind="stable")[:, :near]  # the earlier of equal ones
+    assert np.array_equal(cells, expected)

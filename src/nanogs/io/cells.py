@@ -8,6 +8,7 @@ is the inverted file of Jegou, Douze, Schmid, "Product quantization for nearest 
 import numpy as np
 
 from nanogs._types import F32, I32, I64
+from nanogs.kernels.closest import LANES
 from nanogs.kernels.grouping import group_members
 from nanogs.kernels.kmeans import nearest_cells, weighted_means
 
@@ -22,16 +23,19 @@ def nearby_cells(points: F32, count: int, near: int) -> I32:
     Args:
         points: (N, D), D a multiple of three.
         count: Number of cells, at most N.
-        near: Number of cells for each point; P is the smaller of this and `count`.
+        near: Number of cells for each point, one or two; P is the smaller of this and `count`.
     """
     sample = points[np.linspace(0, len(points) - 1, _SAMPLES * count).astype(np.int64)]
-    centres = np.ascontiguousarray(sample[::_SAMPLES].T)
+    width = -(-count // LANES) * LANES
+    centres = np.zeros((points.shape[1], width), np.float32)
+    centres[:, :count] = sample[::_SAMPLES].T
     squares, equal = np.square(centres).sum(axis=0), np.ones(len(sample), np.float32)
+    squares[count:] = np.inf  # columns without a centre
     own = np.empty((len(sample), 1), np.int32)
     for _ in range(_ROUNDS):
         nearest_cells(sample, centres, squares, own)
         starts, order = by_label(own[:, 0], count)
-        weighted_means(sample, equal, starts, order, centres, squares)
+        weighted_means(sample, equal, starts, order, centres, squares[:count])
     cells = np.empty((len(points), min(near, count)), np.int32)
     nearest_cells(points, centres, squares, cells)
     return cells

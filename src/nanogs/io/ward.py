@@ -91,10 +91,10 @@ def settle(points: F32, weights: F32, cells: I32, labels: I32, home: I32) -> I32
     partners = np.empty((len(pool), 1), np.int32)
     costs = np.empty((len(pool), 1), np.float32)
     own_costs(labels, pool, alike, partners, costs)
-    table = _Table(pool, lengths, np.arange(size), home, count)
+    table = _Table(pool, lengths, alike, np.arange(size), home, count)
     for near in cells.T:
         starts, order = by_label(near, count)
-        table.look(starts, order + size, alike, partners, costs)
+        table.look(starts, order + size, partners, costs)
     settled = partners[size:, 0].copy()
     # A group that all points have left gets them back, so that the number of groups stays. This can
     # empty groups that only these points had moved to, so repeat; at worst all points are back.
@@ -109,41 +109,42 @@ class _Table:
     Args:
         points: (N, D).
         lengths: (N,) squared lengths of the points.
+        weights: (N,) weights of the points.
         rows: (R,) indices of the points in the table, ascending.
         home: (R,) the cell of each of these.
         count: Number of cells.
     """
 
-    def __init__(self, points: F32, lengths: F32, rows: I64, home: I32, count: int) -> None:
-        self.points, self.lengths = points, lengths
+    def __init__(
+        self, points: F32, lengths: F32, weights: F32, rows: I64, home: I32, count: int
+    ) -> None:
+        self.points, self.lengths, self.weights = points, lengths, weights
         starts, order = by_label(home, count)
         self.widths = -(-np.diff(starts) // LANES) * LANES
         ends = np.cumsum(self.widths)
         self.bounds = ends - self.widths
         columns = int(ends[-1])
         self.values = np.empty(columns * points.shape[1], np.float32)
-        self.squares = np.empty(columns, np.float32)
+        self.squares, self.masses = np.empty((2, columns), np.float32)
         self.holders = np.empty(columns, np.int32)
         self.places = np.empty(len(points), np.int64)
         lay_out(
-            self.bounds, starts, rows[order], points, lengths, self.values, self.squares,
-            self.holders, self.places,
+            self.bounds, starts, rows[order], points, lengths, weights, self.values, self.squares,
+            self.masses, self.holders, self.places,
         )  # fmt: skip
 
-    def look(self, starts: I64, order: I64, weights: F32, partners: I32, costs: F32) -> None:
+    def look(self, starts: I64, order: I64, partners: I32, costs: F32) -> None:
         """Search each cell for the cheapest partners of some points, and update their lists.
 
         Args:
             starts: (C + 1,) for each cell, the offset in `order` of the points that search it.
             order: Indices of these points, by cell.
-            weights: (N,) weights of all points.
             partners: (N, P) lists of partners, in and out.
             costs: (N, P) their costs, in and out.
         """
-        rounding = np.float32((self.points.shape[1] + 8) * 2.0**-21)
         near_partners(
-            pieces(starts), order, self.points, self.lengths, weights, self.bounds, self.widths,
-            self.values, self.squares, self.holders, rounding, partners, costs,
+            pieces(starts), order, self.points, self.lengths, self.weights, self.bounds,
+            self.widths, self.values, self.squares, self.masses, self.holders, partners, costs,
         )  # fmt: skip
 
 
@@ -168,7 +169,9 @@ class _Nodes:
         """Rebuild the table if far fewer points remain than it was built for."""
         if len(rows) < _STALE * self._laid:
             self._laid = len(rows)
-            self.table = _Table(self.points, self.lengths, rows, self.home[rows], self._count)
+            self.table = _Table(
+                self.points, self.lengths, self.weights, rows, self.home[rows], self._count
+            )
 
     def look(self, rows: I64) -> None:
         """Search the cheapest partners of some points anew."""
@@ -176,7 +179,7 @@ class _Nodes:
         self.searched[rows] = self._now
         for near in self.cells.T:
             starts, order = by_label(near[rows], self._count)
-            self.table.look(starts, rows[order], self.weights, self.partners, self.costs)
+            self.table.look(starts, rows[order], self.partners, self.costs)
 
     def merge(self, rows: I64, most: int) -> I64:
         """Merge up to `most` of the cheapest pairs of the remaining points, and return the merged.
@@ -196,7 +199,7 @@ class _Nodes:
         count = merge_pairs(
             rows[order], best[order], most, self._now, self.points, self.lengths, self.weights,
             self.parents, self.changed, table.places, self.home, table.bounds, table.widths,
-            table.values, table.squares, table.holders, merged,
+            table.values, table.squares, table.masses, table.holders, merged,
         )  # fmt: skip
         return merged[:count]
 

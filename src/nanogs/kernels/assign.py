@@ -8,7 +8,8 @@ import math
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64, Bool
-from nanogs.kernels.lazy_features import AHEAD, prefetch_features
+from nanogs.kernels.blocks import prefetch_row
+from nanogs.kernels.lazy_features import AHEAD
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 from nanogs.kernels.symmetric3 import Symmetric3, adjugate, log_determinant, mix, resolved
@@ -82,7 +83,7 @@ def assign_nearest(
     |f - f_c|², 0 or more in any unit.
     """
     for i in range(start, stop):
-        prefetch_features(features, rows[min(i + AHEAD, len(rows) - 1)])
+        prefetch_row(features, rows[min(i + AHEAD, len(rows) - 1)])
         sigma = _blurred(symmetric(covariances, i), blurs[i])
         xx, xy, xz, yy, yz, zz = sigma
         own = labels[i]
@@ -123,7 +124,7 @@ def best_moves(
     to move to, or the own one; gains: (N,) out, by how much the error falls, 0 or more.
     """
     for i in range(start, stop):
-        prefetch_features(features, rows[min(i + AHEAD, len(rows) - 1)])
+        prefetch_row(features, rows[min(i + AHEAD, len(rows) - 1)])
         own = labels[i]
         targets[i], gains[i] = own, 0.0
         w, rest = weights[i], totals[own] - weights[i]

@@ -28,6 +28,7 @@ LANES = SIDE * SIDE  # pixels of a block, and blocks of a tile
 BATCH = 32  # splats that are processed together, each one bit of a mask
 START, ACROSS, ALONG, HEIGHT, RISE, FAINT = range(6)
 SHAPE = 8  # columns of a table of shapes; the last two are not used
+_LINE = 16  # four-byte numbers in a line of the cache
 ALL_BLOCKS = 0xFFFF  # bit mask of all blocks of a tile
 FIELDS = (0xA5A5, 0x5A5A)  # bit masks of the two colours of a chessboard of blocks
 
@@ -146,3 +147,10 @@ def prefetch(array: Array, row: int, column: int) -> None:
 
     An array of three dimensions is treated as one of two, with the second one's number of columns.
     """
+
+
+@inline
+def prefetch_row(table: Array, row: int) -> None:
+    """Prefetch a whole row of a two-dimensional array of four-byte numbers."""
+    for column in range(0, table.shape[1], _LINE):
+        prefetch(table, row, column)

@@ -3,10 +3,16 @@
 import numpy as np
 
 from nanogs._types import F32, I32
-from nanogs.kernels.policy import simd_or_plain
+from nanogs.kernels.policy import exact_inline, simd_or_plain
 
 LANES = 16
 TOGETHER = 4
+
+
+@exact_inline
+def rounding(dimensions: int) -> np.float32:
+    """Bound the rounding error of a sum of `closest`, relative to the squares of both points."""
+    return np.float32((dimensions + 8) * 2.0**-21)
 
 
 @simd_or_plain
@@ -25,12 +31,13 @@ def closest(
         tiles: Number of tiles to search, from 1 to W / 16.
         least: (4, 16) out, the least sums.
         second: (4, 16) out, the second least; infinite if there is only one tile.
-        places: (4, 16) out, the tile of the least.
+        places: (4, 16) out, the tile of the least; 0 if all are infinite.
     """
     count = tiles * LANES
     sums = np.empty(count, np.float32)
     least[:] = np.inf
     second[:] = np.inf
+    places[:] = 0
     for point in range(TOGETHER):
         for c in range(count):
             sums[c] = squares[c]

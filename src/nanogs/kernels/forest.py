@@ -7,7 +7,8 @@ geometry; Ward, "Hierarchical grouping to optimize an objective function", 1963 
 import numpy as np
 
 from nanogs._types import F32, F64, I32, Bool
-from nanogs.kernels.lazy_features import AHEAD, feature, prefetch_features
+from nanogs.kernels.blocks import prefetch_row
+from nanogs.kernels.lazy_features import AHEAD, feature
 from nanogs.kernels.nodes import symmetric
 from nanogs.kernels.policy import kernel, parallel_kernel
 from nanogs.kernels.symmetric3 import log_determinant, mix
@@ -38,8 +39,8 @@ def merge_increments(
     """
     for edge in range(start, stop):
         ahead = min(edge + AHEAD, len(pairs) - 1)
-        prefetch_features(features, rows[pairs[ahead, 0]])
-        prefetch_features(features, rows[pairs[ahead, 1]])
+        prefetch_row(features, rows[pairs[ahead, 0]])
+        prefetch_row(features, rows[pairs[ahead, 1]])
         i, j = pairs[edge, 0], pairs[edge, 1]
         total = weights[i] + weights[j]
         pi = weights[i] / total

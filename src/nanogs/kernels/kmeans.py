@@ -10,55 +10,103 @@ import math
 import numpy as np
 
 from nanogs._types import F32, I32, I64
+from nanogs.kernels.closest import LANES, TOGETHER, closest, rounding
 from nanogs.kernels.policy import inline, parallel_kernel
 
 _ROWS = 64  # least number of points of a range
+EMPTY = np.float32(math.inf)  # the square of a column without a centre
 TWO = np.float32(2)
 
 
 @inline
-def _distances(point: F32, columns: F32, squares: F32, start: int, stop: int, out: F32) -> None:
-    """Compute |c|² - 2 x.c for the centres [start, stop), which are the columns."""
+def _distances(point: F32, columns: F32, squares: F32, out: F32) -> None:
+    """Compute |c|² - 2 x.c for all centres, which are the columns."""
     # Three rows per pass, and slices that begin at zero: LLVM vectorises loops of this form.
-    count = stop - start
-    own = squares[start:stop]
-    for c in range(count):
-        out[c] = own[c]
+    for c in range(len(out)):
+        out[c] = squares[c]
     for d in range(0, len(point), 3):
         x, y, z = point[d] * TWO, point[d + 1] * TWO, point[d + 2] * TWO
-        first = columns[d, start:stop]
-        second = columns[d + 1, start:stop]
-        third = columns[d + 2, start:stop]
-        for c in range(count):
+        first, second, third = columns[d], columns[d + 1], columns[d + 2]
+        for c in range(len(out)):
             out[c] -= x * first[c] + y * second[c] + z * third[c]
+
+
+@inline
+def _take_all(distances: F32, kept: F32, cells: I32) -> None:
+    """List the nearest centres by their distances; kept: (P,) scratch; cells: (P,) out."""
+    last = len(cells) - 1
+    kept[:] = math.inf
+    cells[:] = 0
+    for c in range(len(distances)):
+        if distances[c] < kept[last]:
+            place = last
+            while place > 0 and distances[c] < kept[place - 1]:
+                kept[place], cells[place] = kept[place - 1], cells[place - 1]
+                place -= 1
+            kept[place], cells[place] = distances[c], c
+
+
+@inline
+def _take_clear(
+    lowest: F32, second: F32, tiles: I32, length: np.float32, error: np.float32, cells: I32
+) -> bool:
+    """List the nearest one or two centres, and return whether no other one may be as near.
+
+    lowest, second, tiles: (16,) of `closest`; length: the point's square; error: its `rounding`;
+    cells: (1 or 2,) out.
+    """
+    a, b, third, nearest, next_nearest = EMPTY, EMPTY, EMPTY, 0, 0
+    for lane in range(LANES):
+        distance = lowest[lane]
+        if distance < a:
+            a, b, third, nearest, next_nearest = distance, a, b, lane, nearest
+        elif distance < b:
+            b, third, next_nearest = distance, b, lane
+        elif distance < third:
+            third = distance
+    cells[0] = tiles[nearest] * LANES + nearest
+    if len(cells) == 1:
+        return bool(min(b, second[nearest]) - a > error * (5 * length + 2 * a))
+    cells[1] = tiles[next_nearest] * LANES + next_nearest
+    # A centre at the distance r has a square of at most 2 (|x|² + r²).
+    doubt = error * (5 * length + 2 * b)
+    rival = min(third, second[nearest], second[next_nearest])
+    return bool(b - a > doubt and rival - b > doubt)
 
 
 @parallel_kernel("points", least=_ROWS)
 def nearest_cells(
     start: int, stop: int, points: F32, columns: F32, squares: F32, cells: I32
 ) -> None:
-    """Find the nearest centres of each point, the nearest first.
+    """Find the nearest one or two centres of each point, the nearest first.
 
-    points: (N, D); columns: (D, C) the centres; squares: (C,) their squared lengths; cells:
-    (N, P) out, P up to C.
+    If others are as near but for rounding, all distances are computed without vectors, so that the
+    result is the same with and without them.
+
+    points: (N, D); columns: (D, W) the centres, W a multiple of 16; squares: (W,) their squared
+    lengths, infinite for columns without a centre; cells: (N, 1 or 2) out.
     """
-    count = columns.shape[1]
-    wanted = cells.shape[1]
+    count, dimensions = columns.shape[1], points.shape[1]
     distances = np.empty(count, np.float32)
-    kept = np.empty(wanted, np.float32)
-    for i in range(start, stop):
-        _distances(points[i], columns, squares, 0, count, distances)
-        kept[:] = math.inf
-        cells[i, :] = 0
-        for c in range(count):
-            if distances[c] < kept[wanted - 1]:
-                place = wanted - 1
-                while place > 0 and distances[c] < kept[place - 1]:
-                    kept[place] = kept[place - 1]
-                    cells[i, place] = cells[i, place - 1]
-                    place -= 1
-                kept[place] = distances[c]
-                cells[i, place] = c
+    kept = np.empty(cells.shape[1], np.float32)
+    factors = np.empty((TOGETHER, dimensions), np.float32)
+    lowest = np.empty((TOGETHER, LANES), np.float32)
+    second = np.empty((TOGETHER, LANES), np.float32)
+    tiles = np.empty((TOGETHER, LANES), np.int32)
+    error = rounding(dimensions)
+    for at in range(start, stop, TOGETHER):
+        for j in range(TOGETHER):
+            for d in range(dimensions):
+                factors[j, d] = points[min(at + j, stop - 1), d] * -TWO
+        closest(factors, columns, squares, count // LANES, lowest, second, tiles)
+        for j in range(min(TOGETHER, stop - at)):
+            i = at + j
+            length = np.float32(0)
+            for d in range(dimensions):
+                length += points[i, d] * points[i, d]
+            if not _take_clear(lowest[j], second[j], tiles[j], length, error, cells[i]):
+                _distances(points[i], columns, squares, distances)
+                _take_all(distances, kept, cells[i])
 
 
 @parallel_kernel("squares", least=_ROWS)

@@ -11,18 +11,11 @@ each, or (0,) if each has only one; shares: (N, 2) weights of both, or (0, 2).
 import numpy as np
 
 from nanogs._types import F32, F64, I32
-from nanogs.kernels.blocks import prefetch
 from nanogs.kernels.policy import inline, parallel_kernel
 
-AHEAD = 8  # features are prefetched this many splats or pairs before they are read
-LINE = 16  # float32 numbers in a line of the cache
-
-
-@inline
-def prefetch_features(features: F32, row: int) -> None:
-    """Prefetch a row of the table: rows in the order of the input, so far from each other."""
-    for c in range(0, features.shape[1], LINE):
-        prefetch(features, row, c)
+# Rows of features are prefetched this many splats or pairs before they are read: they are in the
+# order of the input, so far from each other.
+AHEAD = 8
 
 
 @inline

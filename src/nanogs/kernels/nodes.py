@@ -6,7 +6,8 @@ A covariance is a row of six float64 in the order xx, xy, xz, yy, yz, zz.
 import numpy as np
 
 from nanogs._types import F32, F64, I32, I64
-from nanogs.kernels.lazy_features import mean_feature, prefetch_features
+from nanogs.kernels.blocks import prefetch_row
+from nanogs.kernels.lazy_features import mean_feature
 from nanogs.kernels.policy import inline, kernel, parallel_kernel
 from nanogs.kernels.quaternion import rotation_matrix, row3, unit_quaternion
 from nanogs.kernels.symmetric3 import Symmetric3, covariance, deviation, eigen, shortest_last
@@ -113,7 +114,7 @@ def gather_moments(
             y += w * (means[row, 1] - means[anchor, 1])
             z += w * (means[row, 2] - means[anchor, 2])
             if channels > 0:  # without features there are no rows of them either
-                prefetch_features(features, rows[row])
+                prefetch_row(features, rows[row])
         x = means[anchor, 0] + x / total
         y = means[anchor, 1] + y / total
         z = means[anchor, 2] + z / total

@@ -12,7 +12,8 @@ import math
 import numpy as np
 
 from nanogs._types import F32, I32, I64
-from nanogs.kernels.closest import LANES, TOGETHER, closest
+from nanogs.kernels.blocks import prefetch_row
+from nanogs.kernels.closest import LANES, TOGETHER, closest, rounding
 from nanogs.kernels.policy import exact_inline, exact_kernel, inline, parallel_kernel
 
 EMPTY = np.float32(math.inf)  # the square of a column without a point
@@ -21,6 +22,7 @@ NOBODY = np.int32(-1)
 # ordered like their bits. This one is above all.
 NO_KEY = np.int32(0x7FFFFFFF)
 TWO = np.float32(2)
+ZERO = np.float32(0)
 
 
 @exact_inline
@@ -79,14 +81,15 @@ def _enter(partners: I32, costs: F32, i: int, partner: int, cost: np.float32) ->
 @parallel_kernel("bounds", least=2)
 def lay_out(
     start: int, stop: int,
-    bounds: I64, starts: I64, order: I64, points: F32, lengths: F32, table: F32, squares: F32,
-    holders: I32, places: I64,
+    bounds: I64, starts: I64, order: I64, points: F32, lengths: F32, weights: F32, table: F32,
+    squares: F32, masses: F32, holders: I32, places: I64,
 ) -> None:  # fmt: skip
     """Copy the points of each cell into its block of the table.
 
     bounds: (C,) the first column of each cell; starts: (C + 1,) where the points of each cell begin
-    in `order`; points: (N, D); lengths: (N,) squared; table: (S D,) out; squares: (S,) out;
-    holders: (S,) out, the point of each column; places: (N,) out, the column of each point.
+    in `order`; points: (N, D); lengths: (N,) squared; weights: (N,); table: (S D,) out; squares,
+    masses: (S,) out, lengths and weights by column; holders: (S,) out, the point of each column;
+    places: (N,) out, the column of each point.
     """
     dimensions = points.shape[1]
     for cell in range(start, stop):
@@ -95,6 +98,7 @@ def lay_out(
         base = bounds[cell] * dimensions
         for c in range(width):
             squares[bounds[cell] + c] = EMPTY
+            masses[bounds[cell] + c] = np.float32(1)
             holders[bounds[cell] + c] = NOBODY
             for d in range(dimensions):
                 table[base + d * width + c] = np.float32(0)
@@ -102,6 +106,7 @@ def lay_out(
             i = order[starts[cell] + c]
             places[i] = bounds[cell] + c
             squares[bounds[cell] + c] = lengths[i]
+            masses[bounds[cell] + c] = weights[i]
             holders[bounds[cell] + c] = np.int32(i)
             for d in range(dimensions):
                 table[base + d * width + c] = points[i, d]
@@ -109,32 +114,28 @@ def lay_out(
 
 @inline
 def _take_nearest(
-    i: int, points: F32, lengths: F32, weights: F32, first: int, width: int, holders: I32,
-    lowest: F32, second: F32, tiles: I32, rounding: np.float32, partners: I32, costs: F32,
-    keys: I32,
+    i: int, points: F32, lengths: F32, weights: F32, squares: F32, masses: F32, holders: I32,
+    lowest: F32, second: F32, tiles: I32, partners: I32, costs: F32, keys: I32,
 ) -> None:  # fmt: skip
     """Insert the nearest point of each lane of a cell as a partner of a point, if cheap enough.
 
-    i: the point; first, width: columns of the cell; lowest, second: (16,) the two least squared
-    distances in each lane, less the point's own square; tiles: (16,) the tile of the lowest; keys:
-    (16,) scratch; the others as in `near_partners`.
+    i: the point; squares, masses, holders: of the cell's columns; lowest, second: (16,) the two
+    least squared distances in each lane, less the point's own square; tiles: (16,) the tile of the
+    lowest; keys: (16,) scratch; the others as in `near_partners`.
     """
-    last = costs.shape[1] - 1
+    last, width = costs.shape[1] - 1, len(squares)
     hidden, nearest = -1, EMPTY  # hidden: the lane in which the point itself is the nearest
-    length, v = lengths[i], weights[i]
-    for lane in range(LANES):
-        keys[lane] = NO_KEY
-        if lowest[lane] == EMPTY:
-            continue
-        partner = holders[first + tiles[lane] * LANES + lane]
-        if partner == i:
-            hidden = lane
-            continue
-        nearest = min(nearest, lowest[lane])
-        w = weights[partner]
-        doubt = rounding * (length + lengths[partner])
-        least = np.float32(max((lowest[lane] + length - 2 * doubt) * (v / (v + w) * w), 0.0))
-        keys[lane] = (least.view(np.int32) & -LANES) | lane
+    length, v, error = lengths[i], weights[i], rounding(points.shape[1])
+    for lane in range(LANES):  # without branches, for vectors
+        column = tiles[lane] * LANES + lane
+        w, itself = masses[column], holders[column] == i
+        doubt = error * (length + squares[column])
+        bound = (lowest[lane] + length - TWO * doubt) * (v / (v + w) * w)
+        least = np.float32(max(bound, ZERO))
+        key = np.int32((least.view(np.int32) & -LANES) | lane)
+        keys[lane] = NO_KEY if itself or lowest[lane] == EMPTY else key
+        hidden = lane if itself else hidden
+        nearest = min(nearest, EMPTY if itself else lowest[lane])
     # By lower bounds of their costs, so that few are computed that cheaper ones replace.
     for _ in range(LANES):
         key = NO_KEY
@@ -144,14 +145,15 @@ def _take_nearest(
             break
         lane = int(key) & (LANES - 1)
         keys[lane] = NO_KEY
-        partner = holders[first + tiles[lane] * LANES + lane]
-        if second[lane] - lowest[lane] <= rounding * (length + lengths[partner]):
-            partner = _nearest(points, i, holders, first + lane, first + width)
+        column = tiles[lane] * LANES + lane
+        partner = int(holders[column])
+        if second[lane] - lowest[lane] <= error * (length + squares[column]):
+            partner = _nearest(points, i, holders, lane, width)
         _enter(partners, costs, i, partner, _cost(points, weights, i, partner))
     if hidden < 0 or second[hidden] == EMPTY:
         return
-    if second[hidden] - 4 * rounding * length <= nearest:
-        partner = _nearest(points, i, holders, first + hidden, first + width)
+    if second[hidden] - 4 * error * length <= nearest:
+        partner = _nearest(points, i, holders, hidden, width)
         _enter(partners, costs, i, partner, _cost(points, weights, i, partner))
 
 
@@ -159,7 +161,7 @@ def _take_nearest(
 def near_partners(
     start: int, stop: int,
     pieces: I64, order: I64, points: F32, lengths: F32, weights: F32, bounds: I64, widths: I64,
-    table: F32, squares: F32, holders: I32, rounding: np.float32, partners: I32, costs: F32,
+    table: F32, squares: F32, masses: F32, holders: I32, partners: I32, costs: F32,
 ) -> None:  # fmt: skip
     """Search cells for the cheapest partners of points, and add them to those found before.
 
@@ -179,8 +181,8 @@ def near_partners(
         widths: (C,) number of columns of each cell, a multiple of 16.
         table: (S D,) the blocks of all cells.
         squares: (S,) squared length of each column.
+        masses: (S,) weight of each column.
         holders: (S,) the point of each column.
-        rounding: Bound of the rounding error of a squared distance, relative to the squares.
         partners: (N, P) in and out, the cheapest partners, the cheapest first; NOBODY for none.
         costs: (N, P) in and out, their costs, infinite for none.
     """
@@ -190,6 +192,7 @@ def near_partners(
     second = np.empty((TOGETHER, LANES), np.float32)
     tiles = np.empty((TOGETHER, LANES), np.int32)
     keys = np.empty(LANES, np.int32)
+    squared, loads = lengths.reshape((-1, 1)), weights.reshape((-1, 1))
     for piece in range(start, stop):
         cell, at, end = pieces[piece, 0], pieces[piece, 1], pieces[piece, 2]
         first, width = bounds[cell], widths[cell]
@@ -198,7 +201,15 @@ def near_partners(
         block = table[first * dimensions : (first + width) * dimensions]
         columns = block.reshape((dimensions, width))
         own = squares[first : first + width]
+        heavy, held = masses[first : first + width], holders[first : first + width]
         while at < end:
+            for j in range(TOGETHER):
+                ahead = order[min(at + TOGETHER + j, end - 1)]  # rows are far from each other
+                prefetch_row(points, ahead)
+                prefetch_row(squared, ahead)
+                prefetch_row(loads, ahead)
+                prefetch_row(partners, ahead)
+                prefetch_row(costs, ahead)
             for j in range(TOGETHER):
                 i = order[min(at + j, end - 1)]
                 for d in range(dimensions):
@@ -206,8 +217,8 @@ def near_partners(
             closest(factors, columns, own, width // LANES, lowest, second, tiles)
             for j in range(min(TOGETHER, end - at)):
                 _take_nearest(
-                    order[at + j], points, lengths, weights, first, width, holders, lowest[j],
-                    second[j], tiles[j], rounding, partners, costs, keys,
+                    order[at + j], points, lengths, weights, own, heavy, held, lowest[j],
+                    second[j], tiles[j], partners, costs, keys,
                 )  # fmt: skip
             at += TOGETHER
 
@@ -259,7 +270,7 @@ def cheapest(
 def merge_pairs(
     rows: I64, best: I32, most: int, now: int, points: F32, lengths: F32, weights: F32,
     parents: I32, changed: I32, places: I64, cells: I32, bounds: I64, widths: I64, table: F32,
-    squares: F32, holders: I32, merged: I64,
+    squares: F32, masses: F32, holders: I32, merged: I64,
 ) -> int:  # fmt: skip
     """Merge pairs in the order given, each point once; the heavier one is replaced by their mean.
 
@@ -279,6 +290,7 @@ def merge_pairs(
         widths: (C,) number of columns of each cell.
         table: (S D,) in and out.
         squares: (S,) in and out.
+        masses: (S,) in and out.
         holders: (S,) in and out.
         merged: (most,) out, the points that others were merged into.
 
@@ -305,6 +317,7 @@ def merge_pairs(
         lengths[a] = square
         weights[a] = v + w
         squares[places[a]], squares[places[b]] = square, EMPTY
+        masses[places[a]] = v + w
         holders[places[b]] = NOBODY
         parents[b] = np.int32(a)
         changed[a] = changed[b] = now
