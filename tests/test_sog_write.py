@@ -312,6 +312,19 @@ def test_an_outlier_does_not_spoil_the_codebook():
     assert (np.diff(book) >= 0).all()
 
 
+@given(seed=st.integers(0, 2**32 - 1), used=st.integers(0, 255))
+def test_bounds_below_each_value_are_counted(seed, used):
+    from nanogs.kernels.quantise import count_lower
+
+    rng = np.random.default_rng(seed)
+    bounds = np.full(255, np.inf)
+    bounds[:used] = np.sort(rng.integers(-40, 40, used)) / 4  # some of them equal, or equal values
+    values = np.append(rng.integers(-44, 44, 300) / 4, [-np.inf, np.inf]).astype(np.float32)
+    codes = np.empty(len(values), np.uint8)
+    count_lower(values, bounds, codes)
+    assert codes.tolist() == np.searchsorted(bounds, values).tolist()
+
+
 def test_nearest_finds_the_nearest_codebook_entry():
     rng = np.random.default_rng(2)
     book = np.sort(rng.normal(size=256)).astype(np.float32)

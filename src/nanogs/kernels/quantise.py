@@ -1,11 +1,13 @@
-"""Kernel of optimal scalar quantisation (one-dimensional k-means)."""
+"""Kernels of scalar quantisation: optimal codebooks, and the nearest entries of values."""
 
 import math
 
 import numpy as np
 
-from nanogs._types import F64, I64
-from nanogs.kernels.policy import inline, kernel
+from nanogs._types import F32, F64, I64, U8
+from nanogs.kernels.policy import inline, kernel, parallel_kernel
+
+_BITS = 8  # of a code
 
 
 @inline
@@ -28,7 +30,7 @@ def _push(stack: I64, depth: int, low: int, high: int, least: int, most: int) ->
 
 @kernel
 def optimal_cuts(centres: F64, weights: F64, cuts: I64) -> None:
-    """Cut sorted bins into runs of least squared error, by dynamic programming.
+    """Cut sorted bins into runs of least squared error: k-means in one dimension, but exact.
 
     Source: Grønlund et al., "Fast exact k-means, k-medians and Bregman divergence clustering in
     1D", 2017: the best last cut ascends with the number of bins, so that each row of the table is
@@ -80,3 +82,17 @@ def optimal_cuts(centres: F64, weights: F64, cuts: I64) -> None:
     for run in range(runs, 0, -1):
         cuts[run - 1] = last[run, cuts[run]]
     cuts[0] = 0
+
+
+@parallel_kernel("values", least=16384)
+def count_lower(start: int, stop: int, values: F32, bounds: F64, codes: U8) -> None:
+    """Count the bounds below each value, by bisection without branches.
+
+    values: (N,) not NaN; bounds: (255,) ascending, the unused last ones infinite; codes: (N,) out.
+    """
+    for i in range(start, stop):
+        value, below = np.float64(values[i]), 0
+        for bit in range(_BITS):
+            step = 1 << (_BITS - 1 - bit)
+            below += step if bounds[below + step - 1] < value else 0
+        codes[i] = below

@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from nanogs import parallel
 from nanogs._types import F32, F64, U8
 from nanogs.io.sog.meta import CODES
-from nanogs.slices import slices
 
 # Approximate number of bins; many, because with an outlier few of the evenly spaced ones are left
 # for all other values.
@@ -40,15 +38,13 @@ def nearest(values: F32, book: F32) -> U8:
         values: Of any shape; -inf gets the first entry.
         book: (256,) ascending; entries that repeat the last value are never chosen.
     """
+    from nanogs.kernels.quantise import count_lower
+
     book = book[: np.searchsorted(book, book[-1]) + 1]
-    middles = (book[1:].astype(np.float64) + book[:-1]) / 2
-    flat = values.reshape(-1)
-    indices = np.empty(len(flat), np.uint8)
-
-    def find(part: slice) -> None:
-        indices[part] = np.searchsorted(middles, flat[part])
-
-    parallel.for_each(slices(len(flat)), find)
+    middles = np.full(CODES - 1, np.inf)
+    middles[: len(book) - 1] = (book[1:].astype(np.float64) + book[:-1]) / 2
+    indices = np.empty(values.size, np.uint8)
+    count_lower(np.ascontiguousarray(values).reshape(-1), middles, indices)
     return indices.reshape(values.shape)
 
 

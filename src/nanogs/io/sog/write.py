@@ -226,10 +226,14 @@ def _refuse_unstorable(splats: Splats) -> None:
 def _beyond(splats: Splats) -> Bool:
     """Return an (N,) bool mask of the splats that hold some of `_VALUES`."""
     beyond = np.zeros(len(splats), bool)
-    for values in (splats.sh[:, : (MAX_DEGREE + 1) ** 2], splats.log_scales):
-        with np.errstate(invalid="ignore"):  # signalling NaNs would warn
-            large = (np.abs(values) > _FARTHEST) & np.isfinite(values)
-        beyond |= large.reshape(len(splats), -1).any(axis=1)
+
+    def look(rows: slice) -> None:
+        for values in (splats.sh[rows, : (MAX_DEGREE + 1) ** 2], splats.log_scales[rows]):
+            with np.errstate(invalid="ignore"):  # signalling NaNs would warn
+                large = (np.abs(values) > _FARTHEST) & np.isfinite(values)
+            beyond[rows] |= large.reshape(len(values), -1).any(axis=1)
+
+    parallel.for_each(slices(len(splats)), look)
     return beyond
 
 
@@ -438,12 +442,12 @@ def _higher(
     own = entries < size or entries == len(splats)
     kept = found.exact and (own or _few_values(found.entries))
     book = codebook(found.entries, _EXACT if kept else _ROUNDED)
-    rounded = book[nearest(found.entries, book)]
-    distinct = palette(rounded, len(rounded))  # entries that have become equal are written once
+    codes = nearest(found.entries, book)
+    distinct = palette(codes.astype(np.float32), len(codes))  # each is written once
     count = len(distinct.entries)
     height = -(-count // sog_meta.PALETTE_COLUMNS)
     texels = np.zeros((height * sog_meta.PALETTE_COLUMNS, coefficients, 3), np.uint8)
-    texels[:count] = nearest(distinct.entries, book).reshape(count, coefficients, 3)
+    texels[:count] = distinct.entries.reshape(count, coefficients, 3)
     submit("shN_centroids.webp", texels.reshape(height, -1, 3))
     labels = distinct.labels[found.labels].astype(np.uint16)
     nothing = np.zeros(len(labels), np.uint8)
