@@ -11,6 +11,7 @@ from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, U64, Array
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.slices import slices
+from nanogs.splats import pick
 
 _CELL = 256  # approximate number of points per cell, unless that makes too many cells
 _MOST_CELLS = 1024  # the distance of every point to the centre of every cell is computed
@@ -68,12 +69,26 @@ def _in_order_of_use(entries: F32, labels: I32) -> Palette:
 
 def _distinct(points: F32) -> tuple[F32, I64, I64]:
     """Return the distinct rows in order of appearance, the row of each point, and their counts."""
-    rows = np.ascontiguousarray(points + np.float32(0))  # -0 becomes 0, for equal bits
+    rows: F32 = np.empty(points.shape, np.float32)
+
+    def add_zero(part: slice) -> None:
+        np.add(points[part], np.float32(0), out=rows[part])  # -0 becomes 0, for equal bits
+
+    parallel.for_each(slices(len(rows)), add_zero)
     first, places, counts = _groups(_keys(rows))
-    if not np.array_equal(rows[first[places]], rows):  # a hash collision
+    if not _equal_rows(rows, first[places]):  # a hash collision
         whole = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
         first, places, counts = _groups(whole)
-    return rows[first], places, counts
+    return pick(rows, first), places, counts
+
+
+def _equal_rows(rows: F32, others: I64) -> bool:
+    """Return whether each row equals the one of which it has the number."""
+    parts = slices(len(rows))
+    found = parallel.map_ordered(
+        parts, lambda part: np.array_equal(pick(rows, others[part]), rows[part])
+    )
+    return all(found)
 
 
 def _groups(keys: Array) -> tuple[I64, I64, I64]:

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nanogs import parallel
 from nanogs._types import F64
 from nanogs.averages import capped_mean
+from nanogs.slices import slices
 from nanogs.splats import Splats
 
 FEWEST_BITS, MOST_BITS = 4, 8
@@ -69,10 +71,11 @@ class Precision:
             return self.spare
         sums = _SumsByArea()
         for block in blocks:
-            scales = np.sort(block.scales().astype(np.float64), axis=1)[:, 1:] + _LEAST_SIZE
+            middle, largest = _larger_scales(block)
+            middle, largest = middle + _LEAST_SIZE, largest + _LEAST_SIZE
             with np.errstate(over="ignore"):
-                shares = np.minimum(((steps(block) / scales[:, :1]) ** 2).mean(axis=1), 1)
-            sums.add(scales.prod(axis=1), block.opacities(), shares)
+                shares = np.minimum(((steps(block) / middle[:, None]) ** 2).mean(axis=1), 1)
+            sums.add(middle * largest, block.opacities(), shares)
         share = math.sqrt(sums.mean())
         allowed = _SHARE_OF_SIZE * (1 << (MOST_BITS - self.bits))
         spare = math.floor(math.log2(allowed / max(share, allowed / 2**MOST_SPARE_BITS)))
@@ -119,8 +122,21 @@ def visibility(splats: Splats) -> F64:
     a power of the area below 1. With these weights, the PSNR of views is several dB higher than
     with equal weights, and 0.1 to 1.3 dB higher than with alpha times area.
     """
-    scales = np.sort(splats.scales().astype(np.float64), axis=1)
-    mass: F64 = splats.opacities() ** 2 * (scales[:, 1] * scales[:, 2]) ** _AREA_POWER
+    mass = np.empty(len(splats))
+
+    def weigh(rows: slice) -> None:
+        some = splats.span(rows.start, rows.stop)
+        middle, largest = _larger_scales(some)
+        mass[rows] = some.opacities() ** 2 * (middle * largest) ** _AREA_POWER
+
+    parallel.for_each(slices(len(splats)), weigh)
     # So that a few splats of a sky, which are as large as far away, do not make all others equal.
     typical = capped_mean(mass, mass, _VISIBILITY[1]) or 1.0
     return np.clip(mass / typical, *_VISIBILITY)
+
+
+def _larger_scales(splats: Splats) -> tuple[F64, F64]:
+    """Return the middle and the largest scale of each splat, (N,) each."""
+    a, b, c = splats.scales().T.astype(np.float64)
+    least, most = np.minimum(a, b), np.maximum(a, b)
+    return np.maximum(least, np.minimum(most, c)), np.maximum(most, c)
