@@ -20,7 +20,7 @@ from nanogs._types import F32, F64, I32, I64, Array, Bool, F
 from nanogs.activations import alphas, unit
 from nanogs.errors import ModelError, OptionError
 from nanogs.ranges import is_number
-from nanogs.slices import SLICE_STEPS, slices
+from nanogs.slices import SLICE, SLICE_STEPS, slices
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -343,10 +343,21 @@ def _finite(splats: Splats) -> Bool:
 
 
 def pick(column: Array, rows: I64 | I32 | Bool | slice) -> Array:
-    """Return some rows of an array, given by indices, a mask or a slice."""
+    """Return some rows of an array, given by indices, a mask or a slice.
+
+    Many rows are copied on all threads, because the copy is bound by memory.
+    """
     if isinstance(rows, slice) or rows.dtype == bool:
         return column[rows]
-    return column.take(rows, axis=0)  # takes a fifth of the time of fancy indexing
+    if len(rows) <= SLICE:
+        return column.take(rows, axis=0)  # takes a fifth of the time of fancy indexing
+    found = np.empty((len(rows), *column.shape[1:]), column.dtype)
+
+    def take(part: slice) -> None:
+        found[part] = column.take(rows[part], axis=0)
+
+    parallel.for_each(slices(len(rows)), take)
+    return found
 
 
 def refuse_other(model: object) -> None:

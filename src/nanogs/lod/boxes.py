@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from nanogs import parallel
 from nanogs._types import F64
 from nanogs.activations import rotations
 from nanogs.slices import BLOCK_ROWS, slices
@@ -20,16 +21,15 @@ def box_around(splats: Splats, deviations: float) -> F64:
         splats: N splats, N at least 1, all finite.
         deviations: Semi-axes of the ellipsoids, in standard deviations.
     """
-    boxes = []
-    for rows in slices(len(splats), BLOCK_ROWS):
+
+    def around(rows: slice) -> F64:
         block = splats.take(rows)
         # The covariance's diagonal has the squared half-width of the ellipsoid along each axis.
         axes = rotations(block.unit_quats().astype(np.float64)) * block.scales()[:, None, :]
         reach = deviations * np.sqrt((axes**2).sum(axis=2))
-        boxes.append(
-            np.stack([(block.means - reach).min(axis=0), (block.means + reach).max(axis=0)])
-        )
-    return union(boxes)
+        return np.stack([(block.means - reach).min(axis=0), (block.means + reach).max(axis=0)])
+
+    return union(parallel.map_ordered(slices(len(splats), BLOCK_ROWS), around))
 
 
 def union(boxes: Iterable[F64]) -> F64:

@@ -16,6 +16,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from nanogs import parallel
 from nanogs._types import F64, I64
 from nanogs.io.generator import GENERATOR, read_own
 from nanogs.io.registry import LEVELS
@@ -71,7 +72,7 @@ class StreamedSog(ChunkLayout):
         def start_encoding() -> Iterator[tuple[str, list[Any], Callable[[], dict[str, bytes]]]]:
             for number, (first, end) in enumerate(runs):
                 part, leaves = level.take(first, end)
-                places = list(_places(part, level.counts, first, end))
+                places = _places(part, level.counts, first, end)
                 files = sog_write.start_encoding(pool, part, leaves)
                 on_progress(level.counts[:end].sum(), level.counts.sum())
                 yield f"{prefix}{number}", places, files
@@ -187,14 +188,16 @@ def _parent(near: _Node, far: _Node) -> _Node:
     return {"bound": _bound(box), "children": [near[0], far[0]]}, box
 
 
-def _places(part: Splats, counts: I64, first: int, end: int) -> Iterator[list[Any]]:
-    """Yield number, first row, number of splats and box of each non-empty leaf of a model."""
-    offset = 0
-    for leaf in range(first, end):
-        if count := int(counts[leaf]):
-            box = box_around(part.span(offset, offset + count), _DEVIATIONS)
-            yield [leaf, offset, count, box.tolist()]
-            offset += count
+def _places(part: Splats, counts: I64, first: int, end: int) -> list[list[Any]]:
+    """Return number, first row, number of splats and box of each non-empty leaf of a model."""
+    ends = np.cumsum(counts[first:end])
+
+    def place(leaf: int) -> list[Any]:
+        count, stop = int(counts[leaf]), int(ends[leaf - first])
+        box = box_around(part.span(stop - count, stop), _DEVIATIONS)
+        return [leaf, stop - count, count, box.tolist()]
+
+    return parallel.map_ordered((leaf for leaf in range(first, end) if counts[leaf]), place)
 
 
 def _one_behind(parts: Iterable[T]) -> Iterator[T]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nanogs import parallel
-from nanogs._types import F32, F64, I32, I64, Array, Bool
+from nanogs._types import F32, F64, I32, I64, Bool
 from nanogs.activations import LEAST_ALPHA, LEAST_SCALE
 from nanogs.kernels.nodes import principal_axes
 from nanogs.kernels.symmetric3 import MOST_DEVIATION
@@ -177,21 +177,10 @@ def _of_sources(splats: Splats, sources: I64, sh: F32) -> Splats:
     """Return the given rows of all columns, with `sh` as the spherical harmonics."""
     return replace(
         splats,
-        means=_taken(splats.means, sources),
-        log_scales=_taken(splats.log_scales, sources),
-        quats=_taken(splats.quats, sources),
-        opacity_logits=_taken(splats.opacity_logits, sources),
+        means=pick(splats.means, sources),
+        log_scales=pick(splats.log_scales, sources),
+        quats=pick(splats.quats, sources),
+        opacity_logits=pick(splats.opacity_logits, sources),
         sh=sh,
-        extras={name: _taken(column, sources) for name, column in splats.extras.items()},
+        extras={name: pick(column, sources) for name, column in splats.extras.items()},
     )
-
-
-def _taken(column: Array, rows: I64) -> Array:
-    """Copy the given rows of a column on all threads, because the copy is bound by memory."""
-    found = np.empty((len(rows), *column.shape[1:]), column.dtype)
-
-    def take(part: slice) -> None:
-        found[part] = pick(column, rows[part])
-
-    parallel.for_each(slices(len(rows)), take)
-    return found
