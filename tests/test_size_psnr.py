@@ -404,7 +404,8 @@ def test_a_psnr_never_takes_more_bytes_than_the_whole_model(asked, whole_psnr, e
 
     def chosen(count):
         packing = Packing(0, None, (("bits", 8),))
-        pack.packed = Packed(packing, count, (PackingReport(0, {}, count, 1, 30.0, 0.9),), 0)
+        tried = (PackingReport(0, {}, count, 1, 30.0, 0.9),)
+        pack.packed = Packed(packing, count, tried, 0, 0, ".sog")
         return CountedResults(), count
 
     result, found = reach_psnr(results, asked, psnr_of, Tracker(None, []), chosen, pack.smaller)

@@ -108,7 +108,7 @@ def test_harmonics_are_dropped_if_nothing_fits_otherwise(tmp_path, suffix, block
 def test_only_a_search_that_chooses_the_degree_is_not_limited_before(goal, suffix, degree):
     request = FileRequest(goal=Goal(**goal), output=Path(f"a{suffix}"))
     limited, notes = limit_degree(request, 4)
-    assert (limited.sh_degree, len(notes)) == (degree, 1)
+    assert (limited.sh_degree, len(notes)) == (degree, degree is not None)
 
 
 @pytest.mark.parametrize("block", [None, 24])
@@ -120,6 +120,31 @@ def test_a_note_names_once_what_a_format_cannot_hold(tmp_path, share, block):
     size = round(share * whole.stat().st_size)
     report = nanogs.simplify_blocks(source, out, size=size, block=block, **FEW_VIEWS)
     assert sum("above degree 3 are left out" in note for note in report.notes) == 1
+
+
+def about_harmonics(report):
+    return [note for note in report.notes if note.startswith("Spherical harmonics")]
+
+
+@pytest.mark.parametrize("block", [None, 24])
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("goal", [{"size": 4500}, {"size": "1MB"}, {"psnr": 5}], ids=str)
+def test_a_search_tells_once_what_the_format_cannot_hold(tmp_path, goal, preset, block):
+    source, out = tmp_path / "in.ply", tmp_path / "out.sog"
+    nanogs.save(random_splats(24, degree=4), source)
+    arguments = {"preset": preset, "block": block, **(FEW_VIEWS if preset == "default" else {})}
+    [note] = about_harmonics(nanogs.simplify_blocks(source, out, **goal, **arguments))
+    assert note.endswith(
+        (" 3 are left out, .sog holds no more.", ", and .sog holds none above degree 3.")
+    )
+
+
+def test_a_search_tells_what_the_format_cannot_hold_of_the_degree_asked_for():
+    splats, arguments = random_splats(24, degree=4), {"format": ".sog", "preset": "fast"}
+    for degree, expected in ((4, 1), (3, 0), (2, 0)):
+        small, report = nanogs.simplify(splats, size=4500, sh_degree=degree, **arguments)
+        assert small.sh_degree == min(degree, 3)
+        assert len(about_harmonics(report)) == expected
 
 
 @pytest.mark.parametrize("block", [None, 60])

@@ -197,23 +197,24 @@ def limit_degree(request: Request, degree: int) -> tuple[Request, tuple[str, ...
     """Lower the degree of the result's harmonics to the highest that the format can store.
 
     The result is then fitted at this degree, which makes up for the harmonics left out. A search
-    that chooses the degree itself does so without this, and its choice remains free.
+    that chooses the degree itself does so without this: its choice remains free, and it reports
+    what is left out.
 
     Args:
         request: All arguments of the call.
         degree: Degree of the model's harmonics.
 
     Returns:
-        The request, and a note if the format can store less than the model's degree.
+        The request, and a note if its degree was lowered.
     """
     known, goal = request.written_format, request.goal
     most = known.max_degree
     if request.sh_degree is not None or degree <= most or not renders(request.parameters):
         return request, ()
     searched = goal.size is not None and request.searches(degree)
-    if not (searched or chooses_packing(goal, known)):
-        request = replace(request, sh_degree=most)
-    return request, (degree_left_out(known.suffix, most),)
+    if searched or chooses_packing(goal, known):
+        return request, ()
+    return replace(request, sh_degree=most), (degree_left_out(known.suffix, most),)
 
 
 def checked_options(

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any, Generic
 
+from nanogs.io.limits import degree_left_out
 from nanogs.pipeline.estimates.stage_weights import PACKINGS
 from nanogs.pipeline.options.target import count_for_size
 from nanogs.pipeline.search.file_size import guess_count
@@ -36,6 +37,8 @@ class Packed:
         count: Number of splats that about fills the size with it.
         packings: Reports of the packings that were tried.
         highest: The highest degree of harmonics that could be written.
+        wanted: The degree that would be written if the format had room for it.
+        suffix: Name of the format.
         tight: Whether only the smallest packing fits.
         blind: Whether views were to decide which packing is best, but show nothing of the model.
     """
@@ -44,6 +47,8 @@ class Packed:
     count: int
     packings: tuple[PackingReport, ...]
     highest: int
+    wanted: int
+    suffix: str
     tight: bool = False
     blind: bool = False
 
@@ -54,12 +59,16 @@ class Packed:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on a choice that the user might not expect, a sentence each."""
-        if self.blind:
-            return (BLIND,)
-        kept = self.packing.sh_degree
+        return (*[BLIND] * self.blind, *self._left_out())
+
+    def _left_out(self) -> tuple[str, ...]:
+        """Return the sentence on harmonics that are left out, by choice or for want of room."""
+        kept, beyond = self.packing.sh_degree, self.wanted > self.highest
+        if kept == self.highest:
+            return (degree_left_out(self.suffix, kept),) if beyond else ()
         why = "nothing else fits" if self.tight else "the file looks better without them"
-        left = f"Spherical harmonics above degree {kept} are left out, because {why}."
-        return (left,) if kept < self.highest else ()
+        limit = f", and {self.suffix} holds none above degree {self.highest}" if beyond else ""
+        return (f"Spherical harmonics above degree {kept} are left out, because {why}{limit}.",)
 
 
 @dataclass(eq=False)
@@ -85,18 +94,18 @@ class Packer(Generic[T]):
 
     def pack(self) -> Packed:
         """Choose the packing."""
-        choices = self.request.choices(self.sample.sh_degree)
+        degree = self.sample.sh_degree
+        choices = self.request.choices(degree)
+        limits = choices.degrees[-1], self.request.wanted(degree), self.request.known.suffix
         self.progress.begin("guess")
         looks = self.results.looks and choices.any
         if not looks or not self.files.shows():
             packing = self._unseen(choices)
-            return Packed(packing, self.guess(packing), (), packing.sh_degree, blind=looks)
+            return Packed(packing, self.guess(packing), (), *limits, blind=looks)
         self.progress.begin("pack")
         slope = self._slope(choices)
         given = self.guess, self._attempt, self.results.available
-        return Packed(
-            *choose_packing(choices, self.request.size, slope, *given), choices.degrees[-1]
-        )
+        return Packed(*choose_packing(choices, self.request.size, slope, *given), *limits)
 
     def _unseen(self, choices: Choices) -> Packing:
         """Return the packing if nothing is rendered.

@@ -32,11 +32,14 @@ class SizeRequest(NamedTuple):
     looks: bool = True
     most: int | None = None
 
+    def wanted(self, degree: int) -> int:
+        """Return the degree to write, if the format can hold it, for a model of an SH degree."""
+        return degree if self.sh_degree is None else min(self.sh_degree, degree)
+
     def choices(self, degree: int) -> Choices:
         """Return the choices that are left open for a model of an SH degree."""
-        highest = min(degree, self.known.max_degree)
-        wanted = highest if self.sh_degree is None else min(self.sh_degree, highest)
-        degrees: Sequence[int] = [wanted]
+        highest = min(self.wanted(degree), self.known.max_degree)
+        degrees: Sequence[int] = [highest]
         if not self.known.readable:
             return Choices(degrees, palettes=False)
         if self.looks and self.sh_degree is None:
