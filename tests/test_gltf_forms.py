@@ -185,7 +185,7 @@ def test_losses_of_packed_splats_name_the_file_that_is_written():
     assert gltf_spz.losses(model)[:3] == (
         "Spherical harmonics above degree 3 are left out, .glb holds no more.",
         "Extra columns are left out, .glb has no room for them: a.",
-        "1 comment line is left out, .glb has no room for them.",
+        "1 comment line is left out, .glb has no room for it.",
     )
 
 

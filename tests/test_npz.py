@@ -95,7 +95,7 @@ def test_comments_and_elements_are_reported_as_losses(tmp_path):
     model = replace(random_splats(2), comments=["made by hand"], elements=[element])
     assert io.losses(model, tmp_path / "a.npz") == (
         "Further elements are left out, .npz has no room for them: camera.",
-        "1 comment line is left out, .npz has no room for them.",
+        "1 comment line is left out, .npz has no room for it.",
     )
     assert io.losses(random_splats(2, extras={"a": np.zeros(2)}), tmp_path / "a.npz") == ()
 

@@ -722,7 +722,7 @@ def test_losses_are_counted(tmp_path):
     assert io.losses(model, tmp_path / "a.spz") == (
         "Extra columns are left out, .spz has no room for them: label.",
         "Further elements are left out, .spz has no room for them: camera.",
-        "1 comment line is left out, .spz has no room for them.",
+        "1 comment line is left out, .spz has no room for it.",
         f"{mode}: viewers will render the model as ordinary splats.",
         "3 splats have log-scales outside -10 to 5.94, the range of .spz; they are clamped to it.",
         "1 splat has base colours outside ±3.33, the range of .spz; they are clamped to it.",

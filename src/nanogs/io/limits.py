@@ -130,8 +130,9 @@ def left_out(
         out.append(f"Further elements are left out, {suffix} has no room for them: {names}.")
     lines = [line for line in splats.comments if render_tag.tag_of(line) is None]
     if comments and lines:
-        count = counted(len(lines), "comment line is", "comment lines are")
-        out.append(f"{count} left out, {suffix} has no room for them.")
+        what = counted(len(lines), "comment line is", "comment lines are")
+        them = "it" if len(lines) == 1 else "them"
+        out.append(f"{what} left out, {suffix} has no room for {them}.")
     if splats.sh_degree > max_degree:
         out.append(degree_left_out(suffix, max_degree))
     return out
