@@ -3,7 +3,9 @@
 import hashlib
 import itertools
 import json
+import os
 import shutil
+import stat
 import weakref
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +22,7 @@ from launch import run
 from nanogs import io
 from nanogs.errors import OutputError
 from nanogs.formatting import bytes_text
+from nanogs.io import atomic
 from nanogs.io.folder import atomic_folder
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod import streamed_sog
@@ -332,6 +335,33 @@ def test_each_layout_replaces_the_files_of_another(splats, tmp_path):
     with pytest.raises(OutputError, match="overwrite=True"):
         write(splats, folder)
     assert [entry.name for entry in tmp_path.iterdir()] == ["levels"]
+
+
+@pytest.mark.parametrize("empty", [False, True])
+def test_a_replaced_folder_keeps_its_permissions(splats, tmp_path, empty):
+    folder = tmp_path / "levels"
+    folder.mkdir() if empty else write(splats, folder)
+    folder.chmod(0o750)
+    write(splats, folder, overwrite=True)
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o750
+
+
+@pytest.mark.parametrize("name", ["", "0_0"])
+def test_a_read_only_folder_is_not_replaced(splats, tmp_path, monkeypatch, name):
+    folder, access = tmp_path / "levels", os.access
+    write(splats, folder)
+    (folder / name).chmod(0o500)  # by root, everything can be written
+    read_only = os.path.realpath(folder / name)
+    monkeypatch.setattr(
+        atomic.os, "access", lambda path, mode: str(path) != read_only and access(path, mode)
+    )
+    before = files(folder)
+    with pytest.raises(OutputError) as error:
+        write(splats, folder, overwrite=True)
+    assert str(error.value) == (
+        f"{folder / name} is read-only; change its permissions or the output."
+    )
+    assert (files(folder), [*tmp_path.iterdir()]) == (before, [folder])
 
 
 @pytest.mark.parametrize("foreign_path", ["mine.txt", "0_0/mine.txt", "mine/a/b.txt", "empty/"])

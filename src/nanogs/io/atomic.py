@@ -101,15 +101,33 @@ def _check_target(path: Path, target: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{path} is no regular file; choose another output.")
     if not overwrite:
         raise ExistsError(f"{path} exists already")
+    refuse_read_only(path, target)
+
+
+def refuse_read_only(path: Path, target: Path) -> None:
+    """Refuse to replace a file or folder that may not be written to.
+
+    Args:
+        path: The output, or a part of it, for the message.
+        target: The same with symbolic links resolved.
+
+    Raises:
+        OutputError: It is read-only.
+    """
     if not os.access(target, os.W_OK):
         raise OutputError(f"{path} is read-only; change its permissions or the output.")
+
+
+def keep_mode(made: Path, target: Path) -> None:
+    """Give what takes the place of a file or folder the permission bits that this has."""
+    made.chmod(stat.S_IMODE(target.stat().st_mode))
 
 
 def _take_place(made: Path, target: Path, path: Path, *, overwrite: bool) -> None:
     """Rename the file, after a second check: minutes may have passed since the first."""
     _check_target(path, target, overwrite=overwrite)
     if target.exists():
-        made.chmod(stat.S_IMODE(target.stat().st_mode))
+        keep_mode(made, target)
     if overwrite or not _linked(made, target, path):
         made.replace(target)
 

@@ -1,7 +1,8 @@
 """Output folders that appear whole or not at all; see `atomic` for files.
 
 The files go to a temporary folder beside the target, which then takes the target's place. An
-existing folder is only replaced if it holds nothing but files that its own manifest names.
+existing folder is only replaced if it holds nothing but files that its own manifest names; the new
+one gets its permission bits.
 """
 
 import contextlib
@@ -13,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from nanogs.cleanup import defer_exit
 from nanogs.errors import ExistsError, OutputError, shown_as
-from nanogs.io.atomic import refuse_without_parent, writing
+from nanogs.io.atomic import keep_mode, refuse_read_only, refuse_without_parent, writing
 from nanogs.io.temporary import left_beside, locked, name_beside, temporary
 
 Ours = Callable[[Path], frozenset[str] | None]
@@ -97,6 +98,7 @@ def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> N
     if Path.cwd().is_relative_to(target):
         raise OutputError(f"{path} is the folder you are in; name another one as the output.")
     if not any(target.iterdir()):
+        refuse_read_only(path, target)
         return
     known = ours(target)
     if known is None:
@@ -108,6 +110,9 @@ def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> N
             f"{path} also holds {foreign[0]!r}, which nanogs did not make; move it away or choose "
             "another folder."
         )
+    for inner in (PurePosixPath(), *_folders(known)):  # files in each are going to be deleted
+        if (target / inner).is_dir():
+            refuse_read_only(path / inner, target / inner)
 
 
 def _contents(folder: Path, prefix: str = "") -> Iterator[str]:
@@ -133,6 +138,7 @@ def _swap(made: Path, target: Path, ours: Ours) -> None:
         return
     old = name_beside(target, ".old")
     with locked(target):
+        keep_mode(made, target)
         target.replace(old)
         try:
             made.replace(target)
@@ -160,11 +166,15 @@ def _discard(old: Path, ours: Ours) -> None:
     names = ours(old) or frozenset()
     for name in sorted(names, key=lambda name: (name.endswith(".json"), -name.count("/"))):
         (old / name).unlink(missing_ok=True)
-    inner = {parent for name in names for parent in PurePosixPath(name).parents if parent.parts}
-    for folder in sorted(inner, key=lambda folder: -len(folder.parts)):
+    for folder in sorted(_folders(names), key=lambda folder: -len(folder.parts)):
         with contextlib.suppress(FileNotFoundError):
             (old / folder).rmdir()
     old.rmdir()
+
+
+def _folders(names: Iterable[str]) -> set[PurePosixPath]:
+    """Return the folders that files are in, as relative paths; not the one that holds them all."""
+    return {parent for name in names for parent in PurePosixPath(name).parents if parent.parts}
 
 
 def make_folders(folder: Path) -> list[Path]:
