@@ -348,7 +348,7 @@ def test_a_page_is_written_even_if_nothing_was_measured(tmp_path):
         ({"formats": (".sog", ".sog")}, "The format .* occurs twice"),
         ({"formats": (".html",)}, "writes and reads"),
         ({"formats": (".meta.json",)}, "writes and reads"),
-        ({"formats": (".obj",)}, "does not write"),
+        ({"formats": (".obj",)}, r"^nanogs does not write a format '\.obj'"),
         ({"methods": ("random",)}, "random cannot make a file of a given size"),
         ({"methods": ("paper",)}, "choose another preset"),
         ({"formats": (".sog", ".spz"), "externals": {"x": "{scene}_{size}"}}, "need {format}"),

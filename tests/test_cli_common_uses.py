@@ -396,7 +396,9 @@ def test_levels_can_be_files_of_any_format(folder, tmp_path):
 @pytest.mark.parametrize(
     ("out", "suffix", "fragments"),
     [
-        ("levels", "ksplat", ["does not write", ".sog"]),
+        ("levels", "ksplat", ["nanogs does not write a format 'ksplat'; it writes", ".sog"]),
+        ("levels", "lod-meta.json", ["leave it out, and name ", "/x/levels/lod-meta.json."]),
+        ("levels", "ssog", ["ssog describes all levels, ", "/x/levels.ssog."]),
         ("lod-meta.json", "spz", ["lod-meta.json", "name a folder"]),
     ],
 )

@@ -172,7 +172,8 @@ def test_the_manifest_describes_the_files(scene, tmp_path):
     ("options", "message"),
     [
         ({"layout": "tiles"}, '"files", "streamed sog", "3d tiles"'),
-        ({"suffix": ".obj"}, r"\.obj"),
+        ({"suffix": ".obj"}, r"^nanogs does not write a format '\.obj'"),
+        ({"suffix": "obj"}, "^nanogs does not write a format 'obj'"),
         ({"layout": "files", "chunk": 5}, "not divided"),
     ],
 )

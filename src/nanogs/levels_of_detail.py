@@ -139,6 +139,7 @@ def write_levels(
     given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
     overrides = {key: given.pop(key) for key in given.keys() - _OPTIONS}
     plain = as_switch("`plain`", plain)
+    registry.file_of(suffix)  # raises if it is not a format
     if not isinstance(source, str | None):
         raise OptionError(f"`source` is the name of the model, not {source!r}.")
     request = Request(

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from nanogs.bench.methods import all_methods, find_method, refuse_unsized
 from nanogs.bench.rows import ORIGINAL, BenchTarget, size_name
@@ -132,7 +131,7 @@ def _refuse_format(suffix: str) -> None:
     Raises:
         OptionError: It is such a format, or unknown.
     """
-    known = registry.writable(Path(f"model{suffix}"))
+    known = registry.writable(registry.file_of(suffix))
     if known.write is None or not known.readable or known.suffix != suffix:
         raise OptionError(
             f"{suffix} is not a format of single files that nanogs both writes and reads."

@@ -317,8 +317,9 @@ def file_of(format: str, *, to_read: bool = False) -> Path:  # noqa: A002 - the 
             f"nanogs does not read a format {format!r}{_meant(path, suffixes)}; it reads"
             f" {', '.join(suffixes)}."
         )
-    # `writable` says how to make those of levels.
-    if not to_read and (known is None or not (known.writable or known.suffix in _OF_LEVELS)):
+    if not to_read and known is not None and known.suffix in _OF_LEVELS:
+        raise OptionError(f"{format} describes levels of detail; make them with `nanogs lod`.")
+    if not to_read and (known is None or not known.writable):
         raise OptionError(f"nanogs does not write a format {format!r}{_instead(path)}.")
     return path
 

@@ -110,7 +110,14 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     if suffix is None:
         return Output(path, Layout.FILES)
     ending = registry.suffix_of(suffix)
-    registry.writer(Path(level_name(0, ending)))
+    for name in (*NAMES.values(), registry.ARCHIVE):
+        if ending.endswith(name):
+            whole = path.with_suffix(name) if name == registry.ARCHIVE else path / name
+            raise OptionError(
+                f"{suffix} describes all levels, and `format` is that of a file for each; leave it"
+                f" out, and name {whole}."
+            )
+    registry.writer(registry.file_of(suffix))
     return Output(path, Layout.FILES, ending)
 
 

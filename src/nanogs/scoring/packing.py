@@ -38,8 +38,7 @@ def packing_of(
     if not formats:
         raise OptionError("Name at least one format to pack the model in, such as .sog.")
     given = given_options(format_options)
-    suffixes = map(registry.suffix_of, one_or_several(formats))
-    found = [registry.writable(Path(f"model{suffix}")) for suffix in suffixes]
+    found = [registry.writable(registry.file_of(each)) for each in one_or_several(formats)]
     for known in found:
         if not known.readable:
             raise OptionError(
