@@ -500,6 +500,12 @@ def test_levels_of_a_real_scene_have_the_requested_counts(tmp_path):
     assert manifest.levels[0].bytes < 76_373 * 16
 
 
+def test_the_command_that_is_printed_works_for_a_name_with_blanks(splats, tmp_path):
+    io.save(splats, tmp_path / "a.ply")
+    made = run("lod", "a.ply", "my scene/lod-meta.json", "--preset", "fast", cwd=tmp_path)
+    assert "\n`nanogs view 'my scene/lod-meta.json'` makes a page" in made.stderr
+
+
 # The viewer
 
 

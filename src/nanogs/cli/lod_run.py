@@ -1,6 +1,7 @@
 """`nanogs lod`: plan the levels, make them, in memory or in blocks, and print them."""
 
 import math
+import shlex
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -162,7 +163,8 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         size = bytes_text(coarsest.bytes + beside + described)
         say(f"a viewer's first picture takes {asked} and {size}")
     if files["layout"] != Layout.FILES:
-        say(f"`nanogs view {files['output']}` makes a page of one level, to look at it")
+        command = shlex.join(["nanogs", "view", str(files["output"])])
+        say(f"`{command}` makes a page of one level, to look at it")
 
 
 def _switch(level: Level | ChunkedLevel) -> SwitchQuality | None:
