@@ -232,7 +232,7 @@ def test_options_of_harmonics_without_an_effect_are_named_once(scene, tmp_path, 
 
 
 def test_invalid_format_options_and_those_of_other_formats_are_refused(scene, tmp_path):
-    assert_refused(run(scene, tmp_path / "a.spz", "--spz-version", 1), tmp_path, "2 or 3 or 4")
+    assert_refused(run(scene, tmp_path / "a.spz", "--spz-version", 1), tmp_path, "2, 3 or 4, not 1")
     assert_refused(run(scene, tmp_path / "a.ply", "--spz-version", 4), tmp_path, "for .spz files")
     message = "--palette must be a whole number from 1 to 65,536, not 0"
     assert_refused(run(scene, tmp_path / "a.sog", "--palette", 0), tmp_path, message)

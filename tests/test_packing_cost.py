@@ -115,7 +115,11 @@ def test_formats_that_take_too_much_memory_are_refused_before_any_work(
         ([".ksplat"], {}, r"^nanogs does not write a format '\.ksplat'; it writes"),
         (["ksplat"], {}, "^nanogs does not write a format 'ksplat'; it writes"),
         (["lod-meta.json"], {}, "^lod-meta.json describes levels of detail; make them with"),
-        ([".splat", ".ply"], {"palette": 9}, r"`palette` is for .*, not for \.splat; leave it out"),
+        (
+            [".splat", ".ply"],
+            {"palette": 9},
+            r"is for \.spz, \.sog and meta\.json files, not for \.splat",
+        ),
         ([".splat", ".sog"], {"bits": 99}, "`bits` must be a whole number from 4 to 8, not 99"),
         ([".ply"], {}, r"scene\.ply is already packed as \.ply; name another"),
     ],

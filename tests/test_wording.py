@@ -14,6 +14,7 @@ from nanogs.formatting import (
     NONE,
     bytes_text,
     counted,
+    listed,
     plain,
     sizes_text,
     time_text,
@@ -262,3 +263,9 @@ def test_the_map_of_the_modules_names_files_that_exist():
     listed = re.findall(r"^  (\w+(?:\.py|/))", text, re.MULTILINE)
     assert len(listed) > 20
     assert [name for name in listed if not (root / "src/nanogs" / name).exists()] == []
+
+
+def test_lists_have_commas_and_a_word_before_the_last_item():
+    assert listed([2], "or") == "2"
+    assert listed(iter(("a", "b")), "and") == "a and b"
+    assert listed((2, 3, 4), "or") == "2, 3 or 4"

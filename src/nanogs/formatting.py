@@ -1,7 +1,7 @@
 """Formatting of numbers for people, the same on terminal and pages, and of values for JSON."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, is_dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -29,6 +29,12 @@ def counted(count: int, one: str, more: str = "") -> str:
         more: Text after any other number; by default `one` and an s.
     """
     return f"{count:,} {one if count == 1 else more or f'{one}s'}"
+
+
+def listed(items: Iterable[Any], word: str) -> str:
+    """Format a list with a word before the last item: "2, 3 or 4"."""
+    *first, last = map(str, items)
+    return f"{', '.join(first)} {word} {last}" if first else last
 
 
 def notes_on_views(names: Sequence[str], fact: str) -> list[str]:

@@ -164,14 +164,14 @@ def _stages(
 
 def _print_report(report: "RefitReport", target: Path, *, verbose: bool) -> None:
     from nanogs.cli.console import arrow, say, show_report
-    from nanogs.formatting import counted, number_text, time_text
+    from nanogs.formatting import counted, listed, number_text, time_text
 
     if verbose:
         show_report(report)
     before, after = number_text(report.psnr_before), number_text(report.psnr_after)
     views = counted(len(report.validation_views), "view")
     # Given cameras may have several sizes.
-    sizes = " and ".join(dict.fromkeys(group.pixels for group in report.groups))
+    sizes = listed(dict.fromkeys(group.pixels for group in report.groups), "and")
     say(
         f"{counted(report.count, 'splat')} in {target}, {before} {arrow()} {after} dB on {views}"
         f" held out for validation, of {sizes} pixels, {time_text(report.total_seconds)}"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 from nanogs.errors import FormatError, OptionError
+from nanogs.formatting import listed
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
 from nanogs.io.parts import FileSource
@@ -124,7 +125,7 @@ class WriteOption:
         """The allowed values, for a message."""
         if isinstance(self.values, range):
             return f"a whole number from {self.values[0]:,} to {self.values[-1]:,}"
-        return " or ".join(map(str, self.values))
+        return listed(self.values, "or")
 
 
 # Memory that writing a whole model takes in addition to the model, as a multiple of its size.

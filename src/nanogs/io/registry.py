@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
 from nanogs.errors import FormatError, OptionError, OutputError, did_you_mean
+from nanogs.formatting import listed
 from nanogs.io.format import Format, FormatOptions, Sizer, Writer, given_options
 from nanogs.io.limits import refusal, refused_splats
 from nanogs.io.urls import Address
@@ -231,7 +232,7 @@ def _foreign(name: str, known: Format) -> str:
     if not suffixes:
         meant = did_you_mean(name, {option for other in formats() for option in other.options})
         return f"There is no option {name!r}{meant} for writing files."
-    return f"`{name}` is for {' and '.join(suffixes)} files, not for {known.suffix}; leave it out."
+    return f"`{name}` is for {listed(suffixes, 'and')} files, not for {known.suffix}; leave it out."
 
 
 def sizer(path: Path) -> Sizer:

@@ -36,6 +36,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs.errors import FormatError
+from nanogs.formatting import listed
 from nanogs.io.files import check_expansion, damaged, reading, splat_bytes, unreadable
 from nanogs.io.json_fields import integer, numbers, parse, plain_name, refused, rows, table
 from nanogs.io.section import Section, whole_file
@@ -301,11 +302,11 @@ def _check_columns(
         needed += [LABEL, *(CODES[:degree] if first else ())] if codes else BANDS[:degree]
     needed += [CHILD_COUNT, CHILD_START] if tree else ()
     if lacking := [name for name in needed if name not in chunk.properties]:
-        raise damaged(str(section.path), f"a chunk lacks {' and '.join(lacking)}")
+        raise damaged(str(section.path), f"a chunk lacks {listed(lacking, 'and')}")
     if spare := [name for name in chunk.properties if name not in needed]:
         raise damaged(
             str(section.path),
-            f"a chunk has {' and '.join(spare)}, which the file's header does not mention",
+            f"a chunk has {listed(spare, 'and')}, which the file's header does not mention",
         )
 
 
