@@ -100,6 +100,8 @@ def test_a_model_already_packed_is_noted_and_not_packed_again(files, temporary):
     already, itself = (note for note in found.notes if note.startswith("half.spz: the file is "))
     assert "already packed as .spz and is not packed again" in already
     assert "itself packed, as .spz" in itself
+    [plain] = nanogs.compare(*[files / "scene.ply"] * 2, packed=[".ply"], **SMALL).notes
+    assert plain == "scene.ply: the file is already a .ply file, and is not written as one again."
     alone = nanogs.compare(*pair, packed=[".spz"], **SMALL)
     assert [model.name for model in alone.models] == ["half.spz"]
     assert len([note for note in alone.notes if "packed" in note]) == 1

@@ -121,7 +121,7 @@ def test_formats_that_take_too_much_memory_are_refused_before_any_work(
             r"is for \.spz, \.sog and meta\.json files, not for \.splat",
         ),
         ([".splat", ".sog"], {"bits": 99}, "`bits` must be a whole number from 4 to 8, not 99"),
-        ([".ply"], {}, r"scene\.ply is already packed as \.ply; name another"),
+        ([".ply"], {}, r"scene\.ply is already a \.ply file; name another"),
     ],
 )
 def test_formats_that_cannot_be_measured_are_refused(scene, temporary, formats, options, message):
@@ -221,7 +221,7 @@ def test_info_refuses_wrong_options_in_one_sentence(scene):
         (".html",): "does not read .html",
         (".sgo",): "did you mean '.sog'",
         (",",): "--packed names no format",
-        (".ply",): "scene.ply is already packed as .ply",
+        (".ply",): "scene.ply is already a .ply file; name another format, such as .sog.",
         (".splat", "--palette", "9"): "--palette is for .",
         ("", "--bits", "6"): "--bits works only with --packed",
     }

@@ -11,6 +11,7 @@ from nanogs.progress import Stage, Tracker
 from nanogs.scoring.packing import (
     PackingFormats,
     has_format,
+    is_packed,
     notes_on,
     refuse_too_large_to_pack,
     write_packed,
@@ -80,14 +81,20 @@ def packing_notes(
     notes = []
     for name, source in models:
         same = [suffix for suffix in packing if has_format(source, suffix)]
-        notes += [
-            f"{name}: the file is already packed as {suffix} and is not packed again; to see what"
-            " the packing cost, compare it with the model that it was made from."
-            for suffix in same
-        ]
+        notes += [f"{name}: {_already(source, suffix)}" for suffix in same]
         if len(same) < len(packing):
             notes += [f"{name}: {note}" for note in notes_on(source)]
     return tuple(notes)
+
+
+def _already(source: Splats | Source, suffix: str) -> str:
+    """Return the note that a model's file has a format already, and is not written in it."""
+    if not is_packed(source):
+        return f"the file is already a {suffix} file, and is not written as one again."
+    return (
+        f"the file is already packed as {suffix} and is not packed again; to see what the packing"
+        " cost, compare it with the model that it was made from."
+    )
 
 
 def remarks_on(models: Sequence[tuple[str, Splats | Source]]) -> tuple[str, ...]:

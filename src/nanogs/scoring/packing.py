@@ -63,6 +63,11 @@ def refuse_packed(source: Splats | Source, packing: PackingFormats) -> None:
     for suffix in packing:
         if has_format(source, suffix):
             encoding = _SAME_ENCODING.get(suffix, suffix.lstrip("."))
+            if not is_packed(source):
+                raise OptionError(
+                    f"{source_of(source).name} is already a .{encoding} file; name another format,"
+                    " such as .sog."
+                )
             raise OptionError(
                 f"{source_of(source).name} is already packed as .{encoding}; name another format,"
                 " or compare it with the model that it was made from (`nanogs compare`)."
@@ -75,14 +80,20 @@ def has_format(source: Splats | Source, suffix: str) -> bool:
     return isinstance(source, FileSource) and _packed_as(source) == _SAME_ENCODING.get(name, name)
 
 
+def is_packed(source: Splats | Source) -> bool:
+    """Return whether a model comes from a file whose values are quantised."""
+    if not isinstance(source, FileSource):
+        return False
+    known = registry.find(Path(f"model.{_packed_as(source)}"))
+    return source.packed or (known is not None and known.rounds)
+
+
 def notes_on(source: Splats | Source) -> tuple[str, ...]:
     """Return a note on a model whose file is quantised already; () for others."""
-    if not isinstance(source, FileSource):
+    if not isinstance(source, FileSource) or not is_packed(source):
         return ()
     name = _packed_as(source)
     known = registry.find(Path(f"model.{name}"))
-    if not source.packed and (known is None or not known.rounds):
-        return ()
     note = (
         f"the file is itself packed, as {known.suffix if known else name}; unpacked means the model"
         " as read from it, so no number includes what that packing cost."
