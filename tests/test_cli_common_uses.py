@@ -103,6 +103,8 @@ def test_empty_cameras_are_not_those_of_the_current_folder(folder, command):
         ("compare a.ply b.ply --photos . --split", "The split must be test or train, not ''."),
         ("render a.ply out --background", "The background must be black, white or #rrggbb"),
         ("bench a.ply --sizes", "Sizes of views are like 512,1280x720"),
+        ("info a.ply --packed", "--packed names no format"),
+        ("compare a.ply b.ply --packed", "--packed names no format"),
         ("bench a.ply --cameras", "--cameras is empty; name a kind of views"),
     ],
 )

@@ -221,10 +221,11 @@ def test_info_refuses_wrong_options_in_one_sentence(scene):
         (".html",): "does not read .html",
         (".sgo",): "did you mean '.sog'",
         (",",): "--packed names no format",
+        ("",): "--packed names no format",
         (".ply",): "scene.ply is already a .ply file; name another format, such as .sog.",
         (".splat", "--palette", "9"): "--palette is for .",
-        ("", "--bits", "6"): "--bits works only with --packed",
     }
+    assert_refused(run("info", scene, "--bits", "6"), "--bits works only with --packed")
     for (formats, *more), words in refused.items():
         assert_refused(run("info", scene, "--packed", formats, *more), words)
 

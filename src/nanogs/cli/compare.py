@@ -85,7 +85,7 @@ def compare(
         str, typer.Option(help="Further metrics: flip, lpips (each needs its extra).")
     ] = "",
     render_mode: options.AsMode = None,
-    packed: options.Packed = "",
+    packed: options.Packed = None,
     of_format: options.OfFormat,
     mixed: Annotated[
         bool,

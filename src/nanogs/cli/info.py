@@ -38,7 +38,7 @@ def info(
     ],
     read_as: file_options.From = None,
     render_mode: options.AsMode = None,
-    packed: options.Packed = "",
+    packed: options.Packed = None,
     of_format: options.OfFormat,
     looking: RenderOptions,
     json: options.Json = False,

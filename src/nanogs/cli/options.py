@@ -239,7 +239,7 @@ OfFormat = Annotated[
 ]
 """Options that apply to some formats only: the keyword arguments of `save`."""
 Packed = Annotated[
-    str,
+    str | None,
     typer.Option(
         help="Formats, as in .sog,.spz: measure what packing alone costs, by writing the models in"
         " these formats, reading them back and comparing renders of both.",
@@ -376,16 +376,16 @@ def parse_list(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def parse_packed(text: str, of_format: dict[str, Any]) -> list[str]:
-    """Parse suffixes of formats separated by commas; [] if the option is not given.
+def parse_packed(text: str | None, of_format: dict[str, Any]) -> list[str]:
+    """Parse suffixes of formats separated by commas; [] for None: the option is not given.
 
     Raises:
         OptionError: The option names no format, or options of a format are given without it.
     """
-    formats = parse_list(text)
-    if text and not formats:
+    formats = parse_list(text or "")
+    if text is not None and not formats:
         raise OptionError("--packed names no format; write it as in --packed .sog,.spz.")
-    if not text and of_format:
+    if text is None and of_format:
         option = next(iter(of_format)).replace("_", "-")
         raise OptionError(
             f"--{option} works only with --packed; name formats, as in --packed .sog."
