@@ -1,6 +1,7 @@
 """Command lines that a user would try first: files and folders, pipes, and quiet runs."""
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -134,6 +135,18 @@ def test_a_result_is_fitted_with_the_sh_degree_of_its_format(tmp_path):
 def test_a_model_that_keeps_all_splats_only_loses_by_packing(folder, tmp_path):
     result = run("simplify", folder / "a.ply", tmp_path / "a.sog", "-r", "1")
     assert "views of 512 pixels, the loss is packing alone, " in result.stderr
+
+
+def test_compared_models_of_the_same_name_are_told_apart(folder, tmp_path):
+    for name in ("x", "y"):
+        (tmp_path / name).mkdir()
+        shutil.copy(folder / "b.ply", tmp_path / name / "a.ply")
+    paths, small = (folder / "a.ply", tmp_path / "x" / "a.ply", tmp_path / "y" / "a.ply"), 32
+    options = ("--views", "2", "--sizes", str(small), "--json")
+    models = json.loads(run("compare", *paths, f"z={paths[1]}", *options).stdout)["models"]
+    assert [model["name"] for model in models] == ["x/a.ply", "y/a.ply", "z"]
+    found = nanogs.compare(*paths, nanogs.load(paths[1]), views=2, pixels=small)
+    assert [model.name for model in found.models] == ["x/a.ply", "y/a.ply", "model 3"]
 
 
 # info

@@ -25,7 +25,7 @@ import nanogs
 import radfiles
 from builders import random_splats
 from nanogs.errors import FormatError, OptionError, OutputError
-from nanogs.io.urls import Address, UrlFile, is_url, place, redacted
+from nanogs.io.urls import Address, UrlFile, is_url, place, redacted, short_names
 from nanogs.memory import LIBRARIES
 
 SECRETS = ("PASSWORD", "SIGNATURE")
@@ -539,3 +539,18 @@ def test_a_url_file_is_a_local_file_shown_under_its_url(tmp_path):
     again = pickle.loads(pickle.dumps(file))
     assert (again, str(again)) == (file, str(file))
     assert file != Address("https://h/b.ply")
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["x/a.ply", "y/b.ply"], ["a.ply", "b.ply"]),
+        (["x/a.ply", "y/a.ply", "x/b.ply"], ["x/a.ply", "y/a.ply", "b.ply"]),
+        (["a.ply", "x/a.ply", "/y/x/a.ply"], ["a.ply", "x/a.ply", "y/x/a.ply"]),
+        (["/a.ply", "a.ply"], ["/a.ply", "a.ply"]),
+        (["x/a.ply", "x/a.ply", "./x/a.ply"], ["a.ply"] * 3),
+        (["s3://k@b/x/a.ply", "https://c/x/a.ply?s"], ["b/x/a.ply", "c/x/a.ply"]),
+    ],
+)
+def test_files_have_the_shortest_names_that_tell_them_apart(paths, names):
+    assert short_names([*map(place, paths)]) == names

@@ -143,7 +143,7 @@ def compare(
     from nanogs.scoring.run import compare_files
     from nanogs.threads import use_threads
 
-    named = [options.parse_named(text) for text in (reference, *tests)]
+    named = options.parse_named([reference, *tests])
     if budget is not None and not mixed:
         raise OptionError("--budget works only with --mixed; give both, or leave it out.")
     if mixed:

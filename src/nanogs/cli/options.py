@@ -491,12 +491,22 @@ def parse_page(text: str | Path) -> Path:
     return page
 
 
-def parse_named(text: str) -> tuple[str, Path]:
-    """Parse a name and a path or URL from `name=path`; without a name, it is the file's name."""
+def parse_named(texts: Sequence[str]) -> list[tuple[str, Path]]:
+    """Parse names and paths or URLs, each from `name=path`; without a name, the file's is taken.
+
+    Of files with the same name, it has as many folders as tell them apart.
+    """
+    from nanogs.io.urls import short_names
+
+    found = [_named(text) for text in texts]
+    short = iter(short_names([path for name, path in found if name is None]))
+    return [(next(short) if name is None else name, path) for name, path in found]
+
+
+def _named(text: str) -> tuple[str | None, Path]:
     from nanogs.io.urls import is_url
 
     name, separator, path = text.partition("=")
     if separator and name and not is_url(text) and not Path(text).exists():
         return name, parse_model(path)
-    given = parse_model(text)
-    return given.name, given
+    return None, parse_model(text)

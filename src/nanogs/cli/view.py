@@ -84,7 +84,7 @@ def view(
     of_psnr: Given = {"--views": views, "--pixels": pixels}
     refuse_beside_file(cameras, of_psnr)
     color = options.parse_background(background)
-    inputs = [options.parse_named(text) for text in models]
+    inputs = options.parse_named(models)
     if len(inputs) > 2:
         raise OptionError(
             f"A page shows one model or two, but {len(inputs)} were given; leave the others out."

@@ -7,6 +7,7 @@ and fragment.
 
 import re
 import sys
+from collections.abc import Sequence
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Self
@@ -221,6 +222,24 @@ def local_path(given: object) -> Path:
     if isinstance(path, Address):
         raise OptionError(f"{path} is a URL; name a file or folder of this machine.")
     return path
+
+
+def short_names(paths: Sequence[Path]) -> list[str]:
+    """Name files by the last part of their paths, or by as many parts as tell them apart.
+
+    So `a/model.ply` and `b/model.ply` keep their folders; a file that is given twice has one name.
+    """
+    return [_short(path, {other for other in paths if other.name == path.name}) for path in paths]
+
+
+def _short(path: Path, alike: set[Path]) -> str:
+    """Return the shortest name of a path that is not the end of another path."""
+    parts = path.as_posix().split("/")
+    others = [other.as_posix().split("/") for other in alike - {path}]
+    for count in range(1, len(parts)):
+        if all(other[-count:] != parts[-count:] for other in others):
+            return path.name if count == 1 else "/".join(parts[-count:])
+    return path.as_posix() if others else path.name
 
 
 def redacted(url: str) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from nanogs.bar import show_progress
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, opened
-from nanogs.io.urls import place
+from nanogs.io.urls import place, short_names
 from nanogs.progress import Progress, Tracker
 from nanogs.protocol import PIXELS, Background, plain_background
 from nanogs.quantities import as_bytes
@@ -51,8 +51,8 @@ def compare(
     Args:
         original: The reference: a model, or a path.
         *models: At least one to score: models, or paths.
-        names: Names of the models, in order; by default their files' names, or "model 1" and so
-            on.
+        names: Names of the models, in order; by default their files' names, with as many folders
+            as tell them apart, or "model 1" and so on.
         cameras: As for `render`, or several kinds, as in `["auto", "roam"]`; automatic ones are
             computed from the original.
         views: Number of automatic views of each kind; by default 8, or 24 roaming ones.
@@ -90,7 +90,7 @@ def compare(
         NotEnoughMemoryError: It takes more memory than is free or allowed, even row by row.
         OptionError: An argument is out of range, there is no such device, or no model is given.
     """
-    called, requested = _names(models, names), compared_views(cameras, pixels, views, up)
+    called, requested = _names(original, models, names), compared_views(cameras, pixels, views, up)
     background = None if background is None else plain_background(background)
     if photos is not None and (up is not None or requested != compared_views("auto", PIXELS)):
         raise OptionError(
@@ -104,10 +104,9 @@ def compare(
     extras = one_or_several(metrics)
     limit = None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
-        names = [file_name(original) or "original", *called]
         given = [
             (name, stack.enter_context(opened(model, name)))
-            for name, model in zip(names, (original, *models), strict=True)
+            for name, model in zip(called, (original, *models), strict=True)
         ]
         # Imported here because these import Numba.
         from nanogs.card.device import device_notes, use_device
@@ -125,16 +124,24 @@ def compare(
     return replace(comparison, notes=(*comparison.notes, *device_notes(device, used)))
 
 
-def _names(models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
+def _names(original: Model, models: Sequence[Model], names: Sequence[str] | None) -> list[str]:
+    """Return the names of the original and of the models."""
     if not models:
         raise OptionError("Give at least one model to compare with the original.")
     if names is None:
-        return [file_name(model) or f"model {place}" for place, model in enumerate(models, 1)]
+        return names_of([original, *models])
     if isinstance(names, str) or not isinstance(names, Sequence) or len(names) != len(models):
         raise OptionError(f"Give one name for each model, {len(models)} in all, not {names!r}.")
-    return list(names)
+    return [*names_of([original]), *names]
 
 
-def file_name(model: Model) -> str | None:
-    """Return the name of a model's file, or None if the model is not given as a path."""
-    return place(model).name if isinstance(model, str | PathLike) else None
+def names_of(models: Sequence[Model]) -> list[str]:
+    """Return names for an original and models: those of their files, where they are paths."""
+    paths = [place(model) for model in models if isinstance(model, str | PathLike)]
+    short = iter(short_names(paths))
+    return [
+        next(short)
+        if isinstance(model, str | PathLike)
+        else (f"model {number}" if number else "original")
+        for number, model in enumerate(models)
+    ]

@@ -24,7 +24,7 @@ from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_backgroun
 from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
 from nanogs.raster.lens import lens_notes
-from nanogs.scoring.api import file_name
+from nanogs.scoring.api import names_of
 from nanogs.scoring.view_sets import ComparedViews, Pixels, compared_views
 from nanogs.views.cameras import Cameras
 
@@ -185,7 +185,7 @@ def compare_mixed(
 def _names(original: Model, paths: Sequence[Path], names: Sequence[str] | None) -> list[str]:
     """Return the names of the original and of the streams."""
     if names is None:
-        return [file_name(original) or "original", *(path.name for path in paths)]
+        return names_of([original, *paths])
     if isinstance(names, str) or len(names) != 1 + len(paths):
         raise OptionError(
             f"Give one name for the original and for each stream, {1 + len(paths)} in all, not"
