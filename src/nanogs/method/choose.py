@@ -3,7 +3,7 @@
 # Tried in turn after the default, as long as each is clearly better: thin opaque shells need more
 # growth, because merged splats would let light through at grazing angles.
 GROWTHS = (1.5, 1.8, 2.1)
-GROWTH_MARGIN = 0.5  # least gain in dB: a few small views measure it only roughly
+GROWTH_MARGIN = 0.1  # least gain in dB: a few views measure it only roughly
 SSIM_WORTH = 50.0  # dB of PSNR for a whole unit of SSIM: 0.02 counts as one dB
 
 
