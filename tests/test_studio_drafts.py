@@ -109,6 +109,17 @@ def test_a_newer_request_gets_its_draft_while_an_older_one_is_measured(answers, 
     assert second.events == ["draft", "made", "point", "measured"]  # and no second draft
 
 
+def test_a_request_that_has_begun_gets_no_draft_after_its_result(answers, forest):
+    job, choice = RecordingJob(1), choice_of({"wish": {"splats": 50}})
+    thread = threading.Thread(target=answers.ask, args=(choice, job))
+    thread.start()
+    assert forest.measuring.wait(20)
+    answers.sooner(choice, job)  # it waited for the forest until the result was measured
+    forest.go_on.set()
+    thread.join(20)
+    assert job.events == ["draft", "made", "point", "measured"]
+
+
 def test_a_result_is_sent_once_and_measured_afterwards(answers, forest):
     forest.go_on.set()
     answers.ask(choice_of({"wish": {"splats": 50}}), job := RecordingJob(1))

@@ -149,12 +149,14 @@ class RequestHandler:
     def sooner(self, choice: Choice, channel: Channel) -> None:
         """Make the draft of a waiting request early, if the forest of its model is in memory.
 
+        Nothing is done if the request has begun meanwhile and made its draft itself.
+
         Raises:
             NanogsError: The draft cannot be made.
         """
         with self._forest:
             grown = self._cache.here(choice)
-            if grown is not None:
+            if grown is not None and self._drafted[0] != channel.id:
                 curve = self._cache.curve(choice, grown)
                 self._draft(grown, curve, curve.count_for(choice.goal), choice, channel)
 
