@@ -1,16 +1,20 @@
 """The job queue of the studio: order, dropped requests, and what the worker waits for."""
 
+import asyncio
 import contextlib
 import threading
 import time
 from queue import SimpleQueue
 from types import SimpleNamespace
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nanogs.studio import workshop
 from nanogs.studio.jobs import Job, Queue
 from nanogs.studio.worker import Inbox
+from nanogs.studio.workshop import WorkerSupervisor
 
 KINDS = ("ask", "save", "curve")
 
@@ -168,3 +172,71 @@ def test_a_request_may_be_cancelled_while_records_of_older_ones_are_removed():
         inbox.begin(Job("ask", "a", 7))
         cancelling.join(20)
         assert dict(inbox._dropped.items()) == {9: None}
+
+
+class SlowToEnd:
+    """A worker process that takes as long to end as the test likes."""
+
+    ended_by = "exit code 143"
+
+    def __init__(self, on_message):
+        self._on_message, self.jobs, self.others = on_message, [], []
+        self.ending, self.may_end = threading.Event(), threading.Event()
+
+    def send(self, message):
+        kind, said = message
+        (self.jobs if kind == "job" else self.others).append(said)
+
+    def end(self):
+        self.ending.set()
+        assert self.may_end.wait(20)
+
+    async def say(self, *message):
+        """Send the server a message, and wait until it has been handled."""
+        self._on_message(message)
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+
+
+@pytest.fixture
+def workers(monkeypatch):
+    """The workers that a supervisor starts."""
+    started = []
+
+    def start(_scene, _settings, on_message):
+        started.append(SlowToEnd(on_message))
+        return started[-1]
+
+    monkeypatch.setattr(workshop, "Process", start)
+    monkeypatch.setattr(workshop, "PATIENCE", 0.01)
+    return started
+
+
+async def until(holds):
+    for _ in range(1000):
+        if holds():
+            return
+        await asyncio.sleep(0.01)
+    raise AssertionError("it did not happen")
+
+
+def test_a_worker_that_is_being_ended_gets_no_other_job(workers):
+    told, cancelled, waiting = [], Job("ask", "a", 1), Job("save", "a", 2)
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda page, event, _: told.append(event))
+        supervisor.put(cancelled)
+        await workers[0].say("done", "done", None)
+        supervisor.put(waiting)
+        supervisor.cancel("a", "ask")
+        await until(workers[0].ending.is_set)
+        await workers[0].say("done", "cancelled", {"type": "cancelled"})  # at the last moment
+        workers[0].may_end.set()
+        await until(lambda: len(workers) == 2)
+        await workers[1].say("done", "done", None)
+        await workers[1].say("done", "done", None)
+
+    asyncio.run(session())
+    assert [job.kind for job in workers[0].jobs] == ["open", "ask"]
+    assert [job.kind for job in workers[1].jobs] == ["open", "save"]
+    assert [(event["type"], event["number"]) for event in told] == [("cancelled", 1)]

@@ -37,6 +37,7 @@ class WorkerSupervisor:
         self._process: Process | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._task: asyncio.Task[None] | None = None  # the task that ends a worker
+        self._ending: Process | None = None  # the worker that it ends
         self._replaced = False  # whether the running job is replaced by a newer one
         self._curve: Job | None = None  # the request whose curve is measured while there are none
 
@@ -116,8 +117,8 @@ class WorkerSupervisor:
 
     def _hear(self, process: Process, message: Any) -> None:  # noqa: ANN401 - a message, or None
         """Handle a message of a worker; None means that it has ended."""
-        if process is not self._process:
-            return  # a message of a worker that was ended before
+        if process is not self._process or process is self._ending:
+            return  # it was ended before, or is being ended and can take no other job
         if message is None:
             self._lost(process)
         elif message[0] == "event":
@@ -170,6 +171,7 @@ class WorkerSupervisor:
         """End a worker whose job does not stop; the next request starts another."""
         self._timer = None
         if self._process is not None:
+            self._ending = self._process
             self._task = asyncio.create_task(self._lose(self._process))
 
     def _lost(self, process: Process) -> None:
