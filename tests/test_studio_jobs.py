@@ -240,3 +240,24 @@ def test_a_worker_that_is_being_ended_gets_no_other_job(workers):
     assert [job.kind for job in workers[0].jobs] == ["open", "ask"]
     assert [job.kind for job in workers[1].jobs] == ["open", "save"]
     assert [(event["type"], event["number"]) for event in told] == [("cancelled", 1)]
+
+
+def test_cancelling_while_a_worker_is_being_ended_does_not_end_the_next(workers, monkeypatch):
+    monkeypatch.setattr(workshop, "PATIENCE_REPLACED", 0.02)
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda page, event, models: None)
+        supervisor.put(Job("ask", "a", 1))
+        await workers[0].say("done", "done", None)
+        supervisor.put(Job("ask", "a", 2))
+        await until(workers[0].ending.is_set)
+        supervisor.cancel("a")
+        supervisor.put(Job("ask", "a", 3))
+        workers[0].may_end.set()
+        await until(lambda: len(workers) == 2)
+        await asyncio.sleep(0.2)
+        workers[1].may_end.set()
+
+    monkeypatch.setattr(workshop, "PATIENCE", 0.1)
+    asyncio.run(session())
+    assert not workers[1].ending.is_set()

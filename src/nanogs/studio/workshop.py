@@ -185,6 +185,7 @@ class WorkerSupervisor:
         if process is not self._process:
             return  # another call has handled it already
         self._process = None
+        self._stop_timer()  # of a cancellation meanwhile; it would end the next worker
         self._sweep()
         job, dropped = self.queue.running, self.queue.dropped
         self.queue.done()
