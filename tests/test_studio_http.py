@@ -319,3 +319,35 @@ def test_too_many_pages_replace_the_one_that_was_closed_first_and_never_an_open_
     with pytest.raises(OptionError, match="16 pages are open already; close one"):
         pages.get("another")
     assert pages.model("model3")
+
+
+def test_a_replaced_stream_leaves_the_remaining_events_to_the_newer_one():
+    said = {"older": [], "newer": []}
+
+    async def session():
+        pages, go_on = Pages(), asyncio.Event()
+        page = pages.get("a")
+
+        async def say_late(text):
+            said["older"].append(text)
+            if "draft" in text:
+                await go_on.wait()  # the connection takes no more for a while
+
+        async def say(text):
+            await asyncio.sleep(0)
+            said["newer"].append(text)
+
+        for kind in ("draft", "made", "measured"):
+            pages.deliver("a", {"type": kind}, {})
+        older = asyncio.create_task(pages.stream(page, say_late))
+        await asyncio.sleep(0)
+        newer = asyncio.create_task(pages.stream(page, say))
+        await asyncio.sleep(0)
+        go_on.set()
+        await asyncio.wait_for(older, 20)
+        await asyncio.sleep(0.01)
+        newer.cancel()
+
+    asyncio.run(session())
+    sent = {name: re.findall('"type": "([a-z]+)"', "".join(said[name])) for name in said}
+    assert sent == {"older": ["draft"], "newer": ["made", "measured"]}

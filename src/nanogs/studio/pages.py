@@ -116,7 +116,7 @@ class Pages:
             await say(": here\n\n" if self.scene is None else _text(self.scene))
             while page.lines == mine:
                 page.news.clear()
-                while page.events:
+                while page.events and page.lines == mine:  # the rest is for the newer stream
                     await say(page.events.popleft())
                 try:
                     await asyncio.wait_for(page.news.wait(), BEAT)
