@@ -5,6 +5,7 @@ import json
 import os
 import re
 import sys
+from functools import partial
 from urllib.parse import urlsplit
 
 import pytest
@@ -16,6 +17,7 @@ from nanogs.errors import OptionError
 from nanogs.studio.listing import Folder
 from nanogs.studio.pages import MOST, Pages
 from nanogs.studio.safety import Guard
+from nanogs.studio.streaming import EventStream
 from studio import running
 
 
@@ -351,3 +353,30 @@ def test_a_replaced_stream_leaves_the_remaining_events_to_the_newer_one():
     asyncio.run(session())
     sent = {name: re.findall('"type": "([a-z]+)"', "".join(said[name])) for name in said}
     assert sent == {"older": ["draft"], "newer": ["made", "measured"]}
+
+
+def test_a_closed_connection_leaves_the_remaining_events_to_the_next_one():
+    pages = Pages()
+    page = pages.get("a")
+
+    async def session():
+        lost = asyncio.Event()
+
+        async def receive():
+            await lost.wait()
+            return {"type": "http.disconnect"}
+
+        async def send(message):
+            if b"draft" in message.get("body", b""):
+                await lost.wait()  # the connection takes no more until it is lost
+
+        for kind in ("draft", "made", "measured"):
+            pages.deliver("a", {"type": kind}, {})
+        stream = asyncio.create_task(EventStream(partial(pages.stream, page))({}, receive, send))
+        await asyncio.sleep(0.01)
+        lost.set()
+        await asyncio.wait_for(stream, 20)
+
+    asyncio.run(session())
+    assert re.findall('"type": "([a-z]+)"', "".join(page.events)) == ["made", "measured"]
+    assert page.left is not None

@@ -17,7 +17,7 @@ class EventStream(Response):
 
         Args:
             talk: Coroutine function that gets a function to send texts; it is cancelled when the
-                page is closed.
+                page is closed. If that happens while a text is sent, sending raises an `OSError`.
         """
         super().__init__()
         self._talk = talk
@@ -29,6 +29,9 @@ class EventStream(Response):
 
         async def say(text: str) -> None:
             await send({"type": "http.response.body", "body": text.encode(), "more_body": True})
+            await asyncio.sleep(0)  # lets `_closed` notice that the client has disconnected
+            if closed.done():  # the server would drop all further texts without an error
+                raise ConnectionResetError("The page was closed.")
 
         async def talk() -> None:
             await self._talk(say)
