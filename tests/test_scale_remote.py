@@ -3,6 +3,7 @@
 import http.server
 import json
 import os
+import pickle
 import re
 import socket
 import subprocess
@@ -264,6 +265,21 @@ def test_a_worker_reports_files_that_it_cannot_read(tmp_path):
     source.unlink()
     with pytest.raises(FormatError, match=r"in\.ply was not found; the caller and all workers"):
         do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, __version__)
+
+
+def test_a_worker_with_too_few_processors_says_so(tmp_path):
+    from nanogs._version import __version__
+    from nanogs.pipeline.job.workers import do_task
+    from nanogs.pipeline.scene import Task
+
+    source, host = tmp_path / "in.ply", re.escape(socket.gethostname())
+    nanogs.save(random_splats(9), source)
+    request = Request(goal=Goal(ratio=0.5), inputs=(source,), output=source, preset="fast")
+    settings, _ = plan_job(request, None, 400)
+    message = f"^On the worker {host}: threads must be from 1 to [0-9]+ on this machine, not 5000.$"
+    with pytest.raises(OptionError, match=message) as caught:
+        do_task(str(tmp_path / "scratch"), settings, Task("segment"), 5000, __version__)
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
 # ---- object stores --------------------------------------------------------------------------

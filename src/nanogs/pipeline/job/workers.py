@@ -284,4 +284,10 @@ def do_task(
             work.record(BEGUN)
             do(work, task)
     except NanogsError as error:
-        raise type(error)(f"On the worker {host}: {error}") from None
+        raise _plain_kind(error)(f"On the worker {host}: {error}") from None
+
+
+def _plain_kind(error: NanogsError) -> type[NanogsError]:
+    """Return the nearest class of an error that holds a message alone, such as `OptionError`."""
+    kinds = [kind for kind in type(error).__mro__ if issubclass(kind, NanogsError)]
+    return next(kind for kind in kinds if kind.__init__ is NanogsError.__init__)
