@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import threading
 import time
+from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
 
@@ -11,11 +12,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nanogs import cleanup
 from nanogs.studio import workshop
 from nanogs.studio.jobs import Job, Queue
+from nanogs.studio.process import Process
 from nanogs.studio.worker import Inbox
 from nanogs.studio.workshop import WorkerSupervisor
 
+OPEN_FILES = Path("/proc/self/fd")
 KINDS = ("ask", "save", "curve")
 
 
@@ -261,3 +265,21 @@ def test_cancelling_while_a_worker_is_being_ended_does_not_end_the_next(workers,
     monkeypatch.setattr(workshop, "PATIENCE", 0.1)
     asyncio.run(session())
     assert not workers[1].ending.is_set()
+
+
+@pytest.mark.skipif(not OPEN_FILES.exists(), reason="the system does not list open files")
+def test_a_worker_that_has_ended_holds_nothing_open():
+    def held():
+        return len([*OPEN_FILES.iterdir()]), len(cleanup._pending)
+
+    def start_and_end():
+        ended = threading.Event()
+        Process(None, None, lambda message: ended.set()).end()
+        assert ended.wait(20)
+
+    start_and_end()  # the first also starts Python's own helper process
+    before, until = held(), time.monotonic() + 20
+    start_and_end()
+    while held() > before and time.monotonic() < until:
+        time.sleep(0.01)
+    assert held() <= before

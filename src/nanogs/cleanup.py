@@ -68,9 +68,19 @@ def temporary_folder(prefix: str) -> Iterator["Path"]:
         yield Path(made[0].name)
 
 
-def on_signal(clean: Callable[[], None]) -> None:
-    """Register a function to be called if a signal ends the process."""
-    _pending[object()] = clean
+def on_signal(clean: Callable[[], None]) -> Callable[[], None]:
+    """Register a function to be called if a signal ends the process.
+
+    Returns:
+        A function that takes it back; may be called twice.
+    """
+    entry = object()
+    _pending[entry] = clean
+
+    def forget() -> None:
+        _pending.pop(entry, None)
+
+    return forget
 
 
 def clean_all() -> None:

@@ -39,7 +39,7 @@ class Process:
         )
         with starting_processes():
             self._process.start()
-            on_signal(self.end)
+            self._forget = on_signal(self.end)
         theirs.close()
         threading.Thread(target=_read, args=(self._line, on_message), daemon=True).start()
 
@@ -56,6 +56,7 @@ class Process:
             if self._process.is_alive():
                 self._process.kill()
                 self._process.join(_GRACE)
+        self._forget()
 
     @property
     def ended_by(self) -> str:
@@ -68,8 +69,8 @@ class Process:
 
 
 def _read(line: Connection, on_message: Callable[[Any], None]) -> None:
-    """Pass on messages until the connection is closed, then None."""
-    with suppress(EOFError, OSError):
+    """Pass on messages until the worker ends, then None; closes the connection."""
+    with line, suppress(EOFError, OSError):
         while True:
             on_message(line.recv())
     on_message(None)
