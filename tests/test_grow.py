@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -53,6 +54,24 @@ def test_several_threads_get_the_results_of_one(grown):
         for pair in zip(made, drafts, strict=True):
             for given, wanted in zip(pair, expected.pop(0), strict=True):
                 assert_same(given, wanted)
+
+
+def test_results_are_made_while_another_thread_measures(grown):
+    small, draft = grown.simplify(40)[0], grown.draft(60)
+    expected, measuring, made = grown.measure(small), threading.Event(), threading.Event()
+
+    def wait(step):
+        measuring.set()
+        assert made.wait(20), "no result was made meanwhile"
+
+    with ThreadPoolExecutor(2) as pool:
+        measured = pool.submit(grown.measure, small, progress=wait)
+        assert measuring.wait(20)
+        results = pool.submit(lambda: (grown.simplify(40)[0], grown.draft(60)))
+        results.add_done_callback(lambda _: made.set())
+        assert measured.result() == expected
+    for result, alone in zip(results.result(), (small, draft), strict=True):
+        assert_same(result, alone)
 
 
 def test_a_pickled_grown_model_makes_the_same_results(grown):

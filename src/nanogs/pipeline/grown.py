@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from threading import RLock
 from typing import TYPE_CHECKING, Any
@@ -46,7 +46,8 @@ class Measured:
 class Grown:
     """A model that has been rendered from its views and has its merge forest; see `nanogs.grow`.
 
-    Several threads may use it: their calls are done one after the other.
+    Several threads may use it: they make results one after the other, and measure them one after
+    the other; while one thread measures, another may make results.
 
     Attributes:
         available: Number of splats that results are made of: the finite ones.
@@ -76,7 +77,8 @@ class Grown:
         from nanogs.pipeline.search.results import HeldResults
 
         self._original, self._checked, self._scene = original, checked, scene
-        self._device, self._threads, self._lock = device, threads, RLock()
+        self._device, self._threads = device, threads
+        self._making, self._measuring = RLock(), RLock()
         self._held_out: HeldOut | None = None
         self._plain = HeldResults(scene, StageClock()).plain(rounds=0)
         self.available = len(checked.rows)
@@ -105,7 +107,7 @@ class Grown:
         self._check(count)
         if count == self.available:
             return self._checked.whole().splats
-        with self._alone():
+        with self._alone(self._making):
             return self._plain.make(count, Tracker(None, ())).splats
 
     def simplify(
@@ -129,7 +131,10 @@ class Grown:
         self._check(count)
         checked, start, clock = self._checked, time.perf_counter(), StageClock()
         stages = delivery_stages(checked.parameters, self.available, count)
-        with show_progress(progress) as on_step, self._alone() as (device, threads):
+        with (
+            show_progress(progress) as on_step,
+            self._alone(self._making) as (device, threads),
+        ):
             tracker = Tracker(on_step, stages)
             outcome = self._delivered(count, clock, tracker)
             tracker.finish()
@@ -164,7 +169,7 @@ class Grown:
         refuse_other(splats)
         path = registry.file_of(format)
         stages = [Stage("measure", 1.0), Stage("encode", 0.2), Stage("score", 1.0)]
-        with show_progress(progress) as on_step, self._alone():
+        with show_progress(progress) as on_step, self._alone(self._measuring):
             tracker = Tracker(on_step, stages)
             tracker.begin("measure")
             views = self._views(tracker.part)
@@ -177,15 +182,19 @@ class Grown:
         return Measured(size, judged)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+        locks = ("_making", "_measuring")
+        return {name: value for name, value in self.__dict__.items() if name not in locks}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, _lock=RLock())
+        self.__dict__.update(state, _making=RLock(), _measuring=RLock())
 
     @contextmanager
-    def _alone(self) -> Iterator[tuple[str, int]]:
-        """Wait for other threads, whose results are made in the same scene; then as `_on`."""
-        with self._lock, _on(self._device, self._threads) as used:
+    def _alone(self, lock: AbstractContextManager[bool]) -> Iterator[tuple[str, int]]:
+        """Wait for other threads that do the same, by their lock; then as `_on`.
+
+        All results are made in one scene, which measuring does not use.
+        """
+        with lock, _on(self._device, self._threads) as used:
             yield used
 
     def _views(self, on_progress: PartProgress) -> "HeldOut":
