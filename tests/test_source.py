@@ -14,6 +14,7 @@ from nanogs import source as sources
 from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.findings import Finding, join_findings
 from nanogs.frames import change_frame
+from nanogs.io.in_order import in_order
 from nanogs.source import Filtered, InMemory, Joined, Reduced, Turned, base
 from nanogs.splats import ExtraElement
 from strategies import assert_same
@@ -74,6 +75,17 @@ def test_a_rad_returns_its_rows_if_a_thread_reads_others_meanwhile(tmp_path, mon
     with nanogs.open(tmp_path / "a.rad") as source:
         rows = disturbed(source, 2900, 2950).read(500, 530)
     assert_same(columns_only(rows), columns_only(whole.span(500, 530)))
+
+
+def test_sorted_rows_are_those_of_each_thread(tmp_path):
+    model = random_splats(3 * 4096 + 5)
+    nanogs.save(model, tmp_path / "a.ply")
+    order = np.random.default_rng(0).permutation(len(model))
+    sorted_model, spans = model.take(order), [(4000, 4200), (9000, 9001), (0, 0), (8192, 12293)]
+    with nanogs.open(tmp_path / "a.ply") as source, in_order(source, order) as rows:
+        disturbed(rows, 0, 1)
+        for span in spans:
+            assert_same(columns_only(rows.read(*span)), columns_only(sorted_model.span(*span)))
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -1,6 +1,7 @@
 """Permuting the rows of a source, with a temporary file if the source is not in memory."""
 
 from tempfile import TemporaryFile
+from threading import Lock
 from typing import IO, Any
 from weakref import finalize
 
@@ -56,6 +57,7 @@ class _Sorted(Source):
             self._file: IO[bytes] = TemporaryFile(prefix="nanogs-")  # noqa: SIM115 - closed by `close`
         finalize(self, close_quietly, self._file)
         self._last: tuple[int, Array] | None = None
+        self._lock = Lock()  # threads share the position in the file
         self._fill(order)
 
     def _fill(self, order: I64 | I32) -> None:
@@ -81,7 +83,7 @@ class _Sorted(Source):
 
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop`; see `Source.read`."""
-        parts = []
+        parts = [np.empty(0, self._dtype)]
         while start < stop:
             number, skipped = divmod(start, self._rows)
             parts.append(self._bucket(number)[skipped : skipped + stop - start])
@@ -89,14 +91,16 @@ class _Sorted(Source):
         return _splats(np.concatenate(parts), self.columns)
 
     def _bucket(self, number: int) -> Array:
-        if self._last is None or self._last[0] != number:
-            self._last = None
+        last = self._last  # another thread may replace it
+        if last is None or last[0] != number:
+            last = self._last = None
             count = min(self._rows, self.count - number * self._rows)
-            self._file.seek(number * self._rows * self._dtype.itemsize)
-            stored = self._file.read(count * self._dtype.itemsize)
+            with self._lock:
+                self._file.seek(number * self._rows * self._dtype.itemsize)
+                stored = self._file.read(count * self._dtype.itemsize)
             rows = np.frombuffer(stored, self._dtype, count)  # raises if the file is too short
-            self._last = number, rows[np.argsort(rows["place"])]
-        return self._last[1]
+            last = self._last = number, rows[np.argsort(rows["place"])]
+        return last[1]
 
     def close(self) -> None:
         """Remove the temporary file."""
