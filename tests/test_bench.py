@@ -18,6 +18,7 @@ from PIL import Image
 import launch
 import nanogs
 from builders import model_bytes, random_splats
+from crashes import CrashError
 from dataset_files import write_capture
 from kernel_copies import copy_kernels
 from nanogs.bench import measuring, output
@@ -551,6 +552,32 @@ def test_a_method_that_fails_gives_a_row_with_the_error(model, monkeypatch):
     settings = BenchSettings(ratios=(0.1,), methods=("opacity",), views=1, sizes=(32,))
     failed = run_bench([scene_of_file(model)], settings)[1]
     assert (failed.status, failed.reason, failed.psnr) == (Status.FAILED, "boom", None)
+
+
+def test_a_run_that_was_killed_leaves_nothing_in_the_way_of_the_next(model, monkeypatch):
+    def run_in_blocks(job):
+        begun = job.output.with_name(f"{job.output.name}.job")
+
+        def kill(_step):
+            if begun.exists() and job.method == "fast":
+                raise CrashError
+
+        try:
+            report = nanogs.simplify_blocks(
+                job.model, job.output, size=job.size, block=200, preset="fast", progress=kill
+            )
+        except CrashError:
+            assert begun.exists()
+            return Outcome(error="killed")
+        return Outcome("", report.achieved_count, report.achieved_count)
+
+    monkeypatch.setattr(measuring, "run_job", run_in_blocks)
+    settings = BenchSettings(
+        file_sizes=(6000,), formats=(".ply",), methods=("fast", "fast:k=4"), views=1, sizes=(32,)
+    )
+    rows = run_bench([scene_of_file(model)], settings)[2:]
+    assert [row.status for row in rows] == [Status.FAILED, Status.OK]
+    assert rows[0].reason == "killed"
 
 
 def test_a_scene_that_cannot_be_read_is_skipped_and_the_next_is_measured(model, tmp_path):

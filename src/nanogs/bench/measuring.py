@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from nanogs.bench.gsplat import gsplat_fps
@@ -95,23 +96,26 @@ def method_row(
 ) -> BenchRow:
     """Run a preset or baseline in a separate process, and score its result."""
     row = empty_row(scene, method, target)
-    output = folder / f"result{target.format or '.ply'}"
-    job = Job(
-        scene.model, method, target.ratio or 1.0, output, views.fit_cameras, views.trained,
-        settings.seed, settings.threads, target.size, settings.render_mode,
-    )  # fmt: skip
-    outcome = run_job(job)
-    if outcome.error:
-        return replace(row, status=Status.FAILED, reason=outcome.error)
+    # A folder of its own: a process that was killed leaves the files of its job there.
+    with TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as own:
+        output = Path(own) / f"result{target.format or '.ply'}"
+        job = Job(
+            scene.model, method, target.ratio or 1.0, output, views.fit_cameras, views.trained,
+            settings.seed, settings.threads, target.size, settings.render_mode,
+        )  # fmt: skip
+        outcome = run_job(job)
+        if outcome.error:
+            return replace(row, status=Status.FAILED, reason=outcome.error)
+        size, splats = output.stat().st_size, load(output, render_mode=settings.render_mode)
     row = replace(
         row,
-        file_bytes=output.stat().st_size,
+        file_bytes=size,
         seconds=outcome.seconds,
         read_seconds=outcome.read_seconds,
         peak_memory=outcome.peak_memory,
         notes=(*_count_note(outcome.splats, outcome.asked), *outcome.notes),
     )
-    return _scored(row, load(output, render_mode=settings.render_mode), views, settings)
+    return _scored(row, splats, views, settings)
 
 
 def external_row(
