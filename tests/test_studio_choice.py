@@ -5,6 +5,7 @@ import math
 import re
 import shlex
 from contextlib import suppress
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -19,12 +20,15 @@ from launch import run_here
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import OptionError
 from nanogs.frames import change_between, change_frame
+from nanogs.pipeline.job.folder import MANIFEST, job_folder
 from nanogs.pipeline.options.presets import FORESTS
-from nanogs.studio import turning
+from nanogs.studio import saving, turning
+from nanogs.studio.cache import WorkerCache
 from nanogs.studio.choice import UPS, choice_of
 from nanogs.studio.opening import opened
 from nanogs.studio.orders import LAYOUTS, SaveRequest, refuse_unfit, shown_path
 from nanogs.studio.scene import StudioSettings, scene_of
+from nanogs.studio.worker import Cancelled
 
 NUMBERS = st.floats(-1e6, 1e6, allow_nan=False) | st.integers(-1000, 1000)
 BOXES = st.tuples(NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS, NUMBERS).map(
@@ -244,3 +248,50 @@ def test_paths_that_look_like_options_are_written_as_paths(scene):
 def test_the_studio_refuses_the_preset_paper():
     with pytest.raises(OptionError, match="fast, default, best"):
         StudioSettings(preset="paper")
+
+
+@pytest.mark.parametrize(
+    ("name", "choice"),
+    [("a.ply", {}), ("web/lod-meta.json", {"format": "lod-meta.json", "levels": "0.5,0.1"})],
+)
+def test_a_save_in_blocks_that_is_cancelled_leaves_no_job(tmp_path, monkeypatch, name, choice):
+    for function in ("simplify_blocks", "write_levels"):
+        monkeypatch.setattr(nanogs, function, partial(getattr(nanogs, function), block=200))
+    nanogs.save(random_splats(500), tmp_path / "scene.ply")
+    scene, studio = scene_of(tmp_path / "scene.ply"), StudioSettings()
+    asked = choice_of({"wish": {"splats": 100}, "preset": "fast", **choice})
+    order = SaveRequest(scene, studio, asked, tmp_path / name)
+    job = job_folder(order.target, None)
+
+    def cancel(_step):
+        if (job / MANIFEST).exists():
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        saving.save(order, WorkerCache(scene, studio), cancel)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]
+    assert saving.save(order, WorkerCache(scene, studio), lambda _step: None)["type"] == "saved"
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        [name.split("/")[0], "scene.ply"]
+    )
+
+
+def test_a_save_leaves_the_job_of_a_command_alone(tmp_path):
+    nanogs.save(random_splats(500), tmp_path / "scene.ply")
+    output = tmp_path / "a.ply"
+    kept = job_folder(output, None)
+
+    def stop(_step):
+        if (kept / MANIFEST).exists():
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        nanogs.simplify_blocks(
+            tmp_path / "scene.ply", output, count=100, preset="fast", block=200, progress=stop
+        )
+    scene, studio = scene_of(tmp_path / "scene.ply"), StudioSettings()
+    asked = choice_of({"wish": {"splats": 100}, "preset": "fast"})
+    saving.save(
+        SaveRequest(scene, studio, asked, output), WorkerCache(scene, studio), lambda _: None
+    )
+    assert (kept / MANIFEST).exists()

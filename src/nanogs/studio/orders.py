@@ -70,6 +70,11 @@ class SaveRequest:
         return output_of(self.path)
 
     @property
+    def target(self) -> Path:
+        """The file to write, or the folder for levels in a folder."""
+        return self.path if self.choice.levels is None else self.output.folder
+
+    @property
     def frames(self) -> tuple[str, str] | None:
         """Source and target frame to turn the file from and to; None to leave it unturned.
 

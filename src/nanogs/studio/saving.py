@@ -1,13 +1,18 @@
 """Saving: writing the output that the shown command would write."""
 
 import os
+import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import nanogs
+from nanogs.cleanup import cleaned_up
 from nanogs.formatting import counted, number_text, plain, time_text
 from nanogs.io import bytes_on_disk
+from nanogs.pipeline.job.folder import job_folder
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request, plan_files
 from nanogs.progress import Progress
@@ -33,15 +38,31 @@ def save(order: SaveRequest, cache: WorkerCache, progress: Progress) -> Event:
     }  # fmt: skip
     reports: tuple[SimplifyReport, ...]
     if order.choice.levels is None:
-        report = nanogs.simplify_blocks(**arguments, progress=progress)
+        with _no_job_left(order):
+            report = nanogs.simplify_blocks(**arguments, progress=progress)
         said["bytes"], reports, entries = bytes_on_disk(order.path), (report,), report.to_dict()
     else:
-        manifest, reports = nanogs.write_levels(**arguments, progress=progress)
+        with _no_job_left(order):
+            manifest, reports = nanogs.write_levels(**arguments, progress=progress)
         said["bytes"] = _all_bytes(order.output.folder)
         entries = {"levels": [each.to_dict() for each in reports], "notes": manifest.notes}
     short = [stop_text(each) for each in reports if not each.stop.met]
     said |= {"report": plain(entries), "short": " ".join(short) or None}
     return said | {"lines": [line for each in reports for line in _lines(each)]}
+
+
+@contextmanager
+def _no_job_left(order: SaveRequest) -> Iterator[None]:
+    """Remove the job folder of a save in blocks that fails or is cancelled: nothing resumes it.
+
+    One that was there before, as of a command that was interrupted, is left alone.
+    """
+    folder = job_folder(order.target, None)
+    if os.path.lexists(folder):
+        yield
+        return
+    with cleaned_up(partial(shutil.rmtree, folder, ignore_errors=True)):
+        yield
 
 
 def _lines(report: SimplifyReport) -> Iterator[tuple[str, str]]:

@@ -3,7 +3,6 @@
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 from nanogs.io.temporary import sweep
@@ -210,5 +209,4 @@ class WorkerSupervisor:
         """Remove the temporary files of a save that was interrupted."""
         job = self.queue.running
         if job is not None and isinstance(job.work, SaveRequest):
-            target = job.work.path if job.work.choice.levels is None else job.work.output.folder
-            sweep(Path(target))
+            sweep(job.work.target)
