@@ -195,6 +195,9 @@ class SlowToEnd:
         self.ending.set()
         assert self.may_end.wait(20)
 
+    def end_by_itself(self):
+        self._on_message(None)
+
     async def say(self, *message):
         """Send the server a message, and wait until it has been handled."""
         self._on_message(message)
@@ -265,6 +268,27 @@ def test_cancelling_while_a_worker_is_being_ended_does_not_end_the_next(workers,
     monkeypatch.setattr(workshop, "PATIENCE", 0.1)
     asyncio.run(session())
     assert not workers[1].ending.is_set()
+
+
+def test_a_scene_whose_reading_ends_the_worker_is_not_read_again_unasked(workers):
+    told, waiting = [], Job("ask", "a", 1)
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda page, event, _: told.append(event))
+        supervisor.put(waiting)
+        workers[0].may_end.set()
+        workers[0].end_by_itself()
+        await until(lambda: told)
+        await asyncio.sleep(0.05)
+        assert len(workers) == 1
+        assert supervisor.queue.idle
+        supervisor.put(Job("ask", "a", 2))
+
+    asyncio.run(session())
+    assert [(event["kind"], event["type"]) for event in told] == [
+        ("open", "failed"), ("ask", "cancelled"),
+    ]  # fmt: skip
+    assert [job.kind for job in workers[1].jobs] == ["open"]
 
 
 @pytest.mark.skipif(not OPEN_FILES.exists(), reason="the system does not list open files")

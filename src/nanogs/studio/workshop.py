@@ -198,6 +198,8 @@ class WorkerSupervisor:
             self._tell(job, {"type": "failed", "message": message})
         if job is not None and job.kind == "curve":
             self._curve = None  # trying it again would end the same way
+        elif job is not None and job.kind == "open":
+            self._end_unopened()  # so would this, for as long as a job is waiting
         self._start_again()
 
     def _start_again(self) -> None:
