@@ -3,6 +3,7 @@
 import copy
 import pickle
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -198,6 +199,40 @@ def test_float32_is_not_copied():
     given_arrays = arrays_of(random_splats(4))
     model = Splats(**given_arrays)
     assert all(getattr(model, name) is array for name, array in given_arrays.items())
+
+
+def test_arrays_of_subclasses_are_taken_as_plain_views(tmp_path):
+    other = random_splats(4, degree=0, extras={"label": np.arange(4)})
+    mapped = np.memmap(tmp_path / "means", np.float32, "w+", shape=(4, 3))
+    mapped[:] = other.means
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PendingDeprecationWarning)  # of NumPy, about matrices
+        model = Splats(
+            means=mapped,
+            log_scales=np.ma.masked_array(other.log_scales),
+            quats=np.matrix(other.quats),
+            opacity_logits=np.matrix(other.opacity_logits).T,
+            sh=other.sh,
+            extras={"label": np.ma.masked_array(other.extras["label"], mask=False)},
+        )
+    columns = [*arrays_of(model).values(), model.extras["label"]]
+    assert {type(column) for column in columns} == {np.ndarray}
+    assert_same(model, other)
+    assert np.shares_memory(model.means, mapped)
+
+
+def test_masked_entries_are_refused():
+    other = random_splats(4)
+    masked = np.ma.masked_array(other.means, mask=np.eye(4, 3))
+    with pytest.raises(ModelError, match="means has masked entries; fill them, or leave out"):
+        replace(other, means=masked)
+    with pytest.raises(ModelError, match="means has masked entries"):
+        Splats.from_gsplat(other.to_gsplat() | {"means": masked})
+    labels = np.ma.masked_array(np.arange(4), mask=[0, 1, 0, 0])
+    with pytest.raises(ModelError, match="extra column 'label' has masked entries"):
+        replace(other, extras={"label": labels})
+    with pytest.raises(IndexError, match="Splats are indexed by"):
+        other[np.ma.masked_array(np.ones(4, bool), mask=[0, 1, 0, 0])]
 
 
 def test_tensors_are_detached_and_brought_to_the_cpu():

@@ -14,13 +14,18 @@ def as_array(name: str, value: object) -> Array:
 
     Args:
         name: Name of the value, for the message.
-        value: An array, nested lists, or a tensor of PyTorch, JAX and the like.
+        value: An array, nested lists, or a tensor of PyTorch, JAX and the like. Of an array of a
+            subclass, such as a memory map, a plain view is returned.
 
     Raises:
-        ModelError: It is a path, or NumPy cannot convert it.
+        ModelError: It is a path, entries are masked, or NumPy cannot convert it.
     """
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise ModelError(
+            f"{name} has masked entries; fill them, or leave out the rows that have them."
+        )
     if isinstance(value, np.ndarray):
-        return value
+        return np.asarray(value)
     if isinstance(value, str | os.PathLike):
         path = os.fspath(value)
         raise ModelError(f"{name} is the path {path!r}, not an array; nanogs.load reads files.")
