@@ -61,6 +61,9 @@ class ExtraElement:
         return ExtraElement(self.name, kept)
 
 
+_LISTS = {"comments": str, "elements": ExtraElement, "notes": str}  # fields, and their entries
+
+
 @dataclass(frozen=True, slots=True, weakref_slot=True, eq=False, repr=False)
 class Splats:
     """N splats, one array for each stored quantity.
@@ -86,7 +89,8 @@ class Splats:
         notes: Changes and losses of reading, one sentence each, for the user.
 
     Raises:
-        ModelError: The arrays' shapes disagree, or a value is no array of real numbers.
+        ModelError: The arrays' shapes disagree, a value is no array of real numbers or has masked
+            entries, or another argument is of another type.
     """
 
     means: F
@@ -134,13 +138,12 @@ class Splats:
             raise ModelError(
                 f"extras must be a dictionary of columns by name, not {kind}."
             ) from None
+        if unnamed := [name for name in columns if not isinstance(name, str)]:
+            raise ModelError(f"The name of an extra column must be text, not {unnamed[0]!r}.")
         extras = {name: as_array(f"extra column {name!r}", a) for name, a in columns.items()}
         object.__setattr__(self, "extras", MappingProxyType(extras))
-        for name in ("comments", "elements", "notes"):
-            given = getattr(self, name)
-            if isinstance(given, str):  # tuple() would split it into letters
-                raise ModelError(f"{name} must be a list, not one text; put the text into a list.")
-            object.__setattr__(self, name, tuple(given))
+        for name, entry in _LISTS.items():
+            object.__setattr__(self, name, _as_tuple(name, entry, getattr(self, name)))
         if self.render_mode not in tuple(RenderMode):
             modes = ", ".join(RenderMode)
             raise ModelError(f"render_mode must be one of {modes}, not {self.render_mode!r}.")
@@ -307,6 +310,29 @@ class Splats:
         if degree >= self.sh_degree:
             return self
         return replace(self, sh=np.ascontiguousarray(self.sh[:, : (degree + 1) ** 2]))
+
+
+def _as_tuple(name: str, kind: type, given: object) -> tuple[Any, ...]:
+    """Convert the value of a field that is a list to a tuple.
+
+    Args:
+        name: Name of the field, for the message.
+        kind: Type of its entries.
+        given: The value.
+
+    Raises:
+        ModelError: It is no list, or an entry is of another type.
+    """
+    if isinstance(given, str):  # tuple() would split it into letters
+        raise ModelError(f"{name} must be a list, not one text; put the text into a list.")
+    entries = "text" if kind is str else kind.__name__
+    if not isinstance(given, Iterable):
+        raise ModelError(f"{name} must be a list of {entries}, not {given!r}.")
+    found = tuple(given)
+    for entry in found:
+        if not isinstance(entry, kind):
+            raise ModelError(f"{name} must be a list of {entries}, not of {type(entry).__name__}.")
+    return found
 
 
 def _restored(state: Mapping[str, Any]) -> Splats:
