@@ -233,6 +233,14 @@ def test_a_report_with_a_numpy_target_can_be_written_as_json(pair, goal):
     assert json.loads(json.dumps(report.to_dict()))["achieved_count"] == report.achieved_count
 
 
+def test_ratios_in_single_precision_stand_for_the_decimals_that_they_show(pair):
+    shares = np.array([0.3, 0.1], np.float32)
+    sizes = [len(small) for small, _ in nanogs.levels(pair[0], shares, preset="fast")]
+    assert sizes == [120, 40]
+    _, report = nanogs.simplify(pair[0], ratio=np.float32(0.1), preset="fast")
+    assert (report.achieved_count, report.asked_ratio) == (40, 0.1)
+
+
 def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, tmp_path):
     quick = {"view_size": 64, "views": 4, "further": 0, "around": 0, "steps": 1}
     _, named = nanogs.simplify(pair[0], count=9, cameras="orbit", **quick)

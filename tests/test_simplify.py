@@ -75,6 +75,7 @@ def test_every_count_is_met_exactly(preset, n, data):
 def test_ratio_is_taken_as_the_decimal_number_given():
     assert math.ceil(0.07 * 100) == 8  # binary floating point alone would give this
     assert target_count(100, 0.07, None) == 7
+    assert target_count(100, np.float32(0.07), None) == 7  # 0.07000000029802322 as a double
 
 
 def test_pruning_stops_at_the_count_and_is_reported():

@@ -57,7 +57,7 @@ class Goal:
             )
 
     def _make_plain(self) -> None:
-        """Convert NumPy's numbers to Python's.
+        """Convert NumPy's numbers to Python's; single precision by the digits that it shows.
 
         Raises:
             OptionError: A value is no number, or not a whole one where it has to be.
@@ -69,7 +69,8 @@ class Goal:
             if not is_number(value, whole=kind is int):
                 wanted = f"The {name} must be a whole" if kind is int else f"`{name}` must be a"
                 raise OptionError(f"{wanted} number, not {value!r}.")
-            object.__setattr__(self, name, kind(value))
+            digits = kind is float and hasattr(value, "dtype")  # 0.1 in float32 is a little more
+            object.__setattr__(self, name, kind(str(value) if digits else value))
 
     @property
     def is_measured(self) -> bool:
@@ -142,9 +143,9 @@ def target_count(available: int, ratio: float | None, count: int | None) -> int:
         OptionError: Not exactly one of both is given, or it is out of range.
         TooManyError: The count is above the usable splats.
     """
-    Goal(ratio=ratio, count=count)
-    if count is None:
-        return math.ceil(Fraction(str(float(ratio or 0))) * available)
+    goal = Goal(ratio=ratio, count=count)
+    if (count := goal.count) is None:
+        return math.ceil(Fraction(str(goal.ratio)) * available)
     if count > available:
         raise TooManyError(
             f"The count {count:,} is above the {counted(available, 'usable splat')} of the input; "
