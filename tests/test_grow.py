@@ -1,5 +1,6 @@
 """`nanogs.grow`: for any count, one forest gives the results of `simplify`."""
 
+import json
 import math
 import pickle
 import threading
@@ -77,6 +78,11 @@ def test_results_are_made_while_another_thread_measures(grown):
 def test_a_pickled_grown_model_makes_the_same_results(grown):
     again = pickle.loads(pickle.dumps(grown))
     assert_same(again.simplify(40)[0], grown.simplify(40)[0])
+
+
+def test_a_count_may_be_a_numpy_number(grown):
+    small, report = grown.simplify(np.int64(40))
+    assert json.loads(json.dumps(report.to_dict()))["asked_count"] == len(small) == 40
 
 
 class StoppedError(Exception):

@@ -267,6 +267,11 @@ def test_a_mixture_of_one_level_scores_the_same_as_that_level(scene, stream, tmp
         assert found.seams == 0
 
 
+def test_a_budget_may_be_a_numpy_number(scene, stream):
+    found = nanogs.compare_mixed(scene, stream, budget=np.int64(500), views=1, pixels=32)
+    assert json.loads(json.dumps(found.to_dict()))["scores"][0]["budget"] == 500
+
+
 def test_the_environment_is_drawn_in_every_mixture(scene, tmp_path):
     folder = tmp_path / "web"
     nanogs.write_levels(scene, folder, RATIOS, layout="streamed sog", chunk=40, preset="fast")

@@ -104,7 +104,7 @@ class Grown:
             OptionError: The count is below 1, or above the number of usable splats.
             ModelError: Other elements of the file have a row for each splat, which would be lost.
         """
-        self._check(count)
+        count = self._checked_count(count)
         if count == self.available:
             return self._checked.whole().splats
         with self._alone(self._making):
@@ -128,7 +128,7 @@ class Grown:
         """
         from nanogs.pipeline.estimates.durations import delivery_stages
 
-        self._check(count)
+        count = self._checked_count(count)
         checked, start, clock = self._checked, time.perf_counter(), StageClock()
         stages = delivery_stages(checked.parameters, self.available, count)
         with (
@@ -212,15 +212,16 @@ class Grown:
             return self._checked.whole()
         return deliver(self._scene, count, clock, progress)
 
-    def _check(self, count: int) -> None:
-        """Raise if a count cannot be delivered.
+    def _checked_count(self, count: int) -> int:
+        """Return a count as a number of Python's.
 
         Raises:
             OptionError: It is below 1, or above the number of usable splats.
             ModelError: Other elements of the file have a row for each splat, which would be lost.
         """
-        target_count(self.available, None, count)
+        count = target_count(self.available, None, count)
         refuse_misaligned_elements(self._checked.splats, count)
+        return count
 
 
 def grow(

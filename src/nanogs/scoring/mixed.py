@@ -135,7 +135,7 @@ def compare_mixed(
     for path in paths:
         refuse_address(path, "download the stream, and give the path of its file")
     called = _names(original, paths, names)
-    _check(paths, budget)
+    budget = _checked(paths, budget)
     requested = compared_views(cameras, pixels, views, up)
     background = plain_background(background)
     limit = None if max_memory is None else as_bytes(max_memory)
@@ -194,7 +194,8 @@ def _names(original: Model, paths: Sequence[Path], names: Sequence[str] | None) 
     return list(names)
 
 
-def _check(paths: Sequence[Path], budget: int | None) -> None:
+def _checked(paths: Sequence[Path], budget: int | None) -> int | None:
+    """Check the streams, and the budget, which is returned as a number of Python's."""
     if not paths:
         raise OptionError("Give at least one lod-meta.json or .ssog to compare with the original.")
     for path in paths:
@@ -204,6 +205,7 @@ def _check(paths: Sequence[Path], budget: int | None) -> None:
             )
     if budget is not None and not (is_number(budget, whole=True) and budget >= 1):
         raise OptionError(f"The budget must be 1 splat or more, not {value_text(budget)}.")
+    return None if budget is None else int(budget)
 
 
 def _refuse_too_large(
