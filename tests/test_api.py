@@ -213,6 +213,19 @@ def test_a_path_where_a_model_is_needed_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_misspelt_argument_is_named_with_the_one_that_was_meant(pair, files, tmp_path):
+    for call in (
+        lambda **given: nanogs.simplify(pair[0], **given),
+        lambda **given: nanogs.simplify_blocks(files[0], tmp_path / "a.ply", **given),
+    ):
+        with pytest.raises(OptionError, match=r"'ration' \(did you mean 'ratio'\?\)"):
+            call(ration=0.1)
+    with pytest.raises(OptionError, match=r"'treads' \(did you mean 'threads'\?\)"):
+        nanogs.levels(pair[0], [0.5], treads=1)
+    with pytest.raises(OptionError, match="no parameter 'ratio'; choose from k"):
+        nanogs.grow(pair[0], ratio=0.5)
+
+
 @pytest.mark.parametrize(
     ("goal", "message"),
     [

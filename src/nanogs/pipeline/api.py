@@ -127,6 +127,7 @@ def simplify(
             which would be lost.
     """
     start, clock = time.perf_counter(), StageClock()
+    parameters(preset, overrides)  # first, so that a misspelt target is named
     size = None if size is None else as_bytes(size)
     goal = Goal(ratio, count, size, psnr, draw_cost)
     path, given = registry.file_of(format), given_options(format_options)

@@ -27,7 +27,7 @@ from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import NanPolicy, import_stages
-from nanogs.pipeline.options.presets import DEFAULT_PRESET, renders
+from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters, renders
 from nanogs.pipeline.options.target import Goal, chooses_packing
 from nanogs.pipeline.reading import open_parts, read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
@@ -145,6 +145,7 @@ def simplify_blocks(
             were lost. The job folder is then kept for `resume`, unless nothing was begun.
     """
     frame = checked_frames(frame)
+    parameters(preset, overrides)  # first, so that a misspelt target is named
     request = Request(
         inputs=places(inputs), output=place(output),
         goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr, draw_cost),

@@ -42,6 +42,12 @@ SUMMARIES: Mapping[str, str] = {
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
+# Arguments of `simplify` and its relatives, which a name that is no parameter may be a typo of.
+_ARGUMENTS = (
+    "ratio", "count", "size", "psnr", "draw_cost", "format", "format_options", "preset",
+    "sh_degree", "frame", "cameras", "nan", "device", "threads", "max_memory", "progress",
+    "overwrite", "filters", "layout", "suffix", "measured", "environment", "render_mode",
+)  # fmt: skip
 ROUND = 32  # steps in each round of the fit, about
 SEARCHED_STEPS = 84  # least steps of the fit of a result whose packing is searched for
 FORESTS: tuple[str, ...] = tuple(
@@ -72,9 +78,11 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
     known = [entry.name for entry in dataclasses.fields(PRESETS[preset])]
     for name in given:
         if name not in known:
+            others = [other for other in (*known, *_ARGUMENTS) if other != name]
+            meant = did_you_mean(name, others)
             raise OptionError(
-                f"The preset {preset} has no parameter {name!r}{did_you_mean(name, known)};"
-                f" choose from {', '.join(known)}."
+                f"The preset {preset} has no parameter {name!r}{meant}; choose from"
+                f" {', '.join(known)}."
             )
     return dataclasses.replace(PRESETS[preset], **given)
 
