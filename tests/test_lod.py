@@ -175,6 +175,11 @@ def test_the_manifest_describes_the_files(scene, tmp_path):
         ({"suffix": ".obj"}, r"^nanogs does not write a format '\.obj'"),
         ({"suffix": "obj"}, "^nanogs does not write a format 'obj'"),
         ({"layout": "files", "chunk": 5}, "not divided"),
+        (
+            {"layout": "3d tiles", "suffix": "spz"},
+            '"3d tiles" has a format of its own; leave out `s',
+        ),
+        ({"layout": "spark tree", "suffix": ".sog"}, '"spark tree" has a format of its own'),
     ],
 )
 def test_unknown_layouts_and_formats_are_refused_before_any_work(tmp_path, options, message):

@@ -120,9 +120,9 @@ def write_levels(
 
     Raises:
         OptionError: See `levels`; or there is no such layout, the name of the output does not fit
-            it, the layout does not have chunks, contents, a place, an environment or format options
-            to choose, the place is invalid, or the format of the files cannot be written or has no
-            such option.
+            it, the layout does not have chunks, contents, a place, an environment, a suffix or
+            format options to choose, the place is invalid, or the format of the files cannot be
+            written or has no such option.
         ModelError: See `levels`; or the environment has another render mode than the model.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
@@ -148,6 +148,11 @@ def write_levels(
         level_suffix=registry.suffix_of(suffix), overwrite=overwrite, measured=measured,
         overrides=overrides, **given,
     )  # fmt: skip
+    if request.chunks and request.level_suffix not in (PLY, request.chunks.suffix):
+        raise OptionError(
+            f'The layout "{Layout(layout)}" has a format of its own; leave out `suffix`, or write'
+            f' the layout "{Layout.FILES}".'
+        )
     request.refuse_unused_views()
     sink = sink_of(request, source=source, layout=layout)
     refuse_misnamed(request.output, Layout(layout))
