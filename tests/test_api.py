@@ -751,6 +751,25 @@ def test_an_up_direction_beside_given_cameras_is_refused(pair, files, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("given", [{"views": 3}, {"pixels": 64}, {"pixels": (64, 48)}])
+def test_options_of_automatic_views_beside_given_cameras_are_refused(pair, tmp_path, given):
+    model, name = pair[0], next(iter(given))
+    cameras = automatic_cameras(model, 2, width=32, height=32)
+    file = tmp_path / "cameras.json"
+    pose = {"img_name": "a", "position": [0, 0, -3], "rotation": np.eye(3).tolist()}
+    file.write_text(json.dumps([{**pose, "width": 32, "height": 32, "fx": 30, "fy": 30}]))
+    for call in (
+        nanogs.render,
+        nanogs.draw_cost,
+        nanogs.mode_evidence,
+        lambda model, **options: nanogs.compare(model, model, **options),
+    ):
+        for views in (cameras, cameras[0], file):
+            with pytest.raises(OptionError, match=f"`{name}` cannot be combined with given cam"):
+                call(model, cameras=views, **given)
+            call(model, cameras=views)
+
+
 def test_options_without_what_they_are_for_are_refused(pair):
     with pytest.raises(OptionError, match="`format_options` work only with `packed`"):
         nanogs.compare(*pair, format_options={"bits": 6})

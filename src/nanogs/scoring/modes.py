@@ -186,7 +186,7 @@ def render_findings(
     refuse_beside_views(photos, images, split)
     limit = None if max_memory is None else as_bytes(max_memory)
     background = None if background is None else plain_background(background)
-    wanted = known_cameras(cameras, up) if photos is None else []
+    wanted = known_cameras(cameras, up, views, pixels) if photos is None else []
     stages = [Stage("cameras", 1.0), Stage("render", 6.0)]
     stages += [Stage("cover", 2.0)] if costs else []
     with opened(model) as source, show_progress(progress) as on_step:

@@ -20,7 +20,7 @@ from nanogs.views.cameras import (
     cameras_from,
     given_cameras,
     picture_size,
-    refuse_up,
+    refuse_beside_given,
     view_count,
 )
 from nanogs.views.plan import FEWER_CAMERAS
@@ -108,13 +108,13 @@ def compared_views(
     """Parse the views that are requested; arguments and errors are those of `nanogs.compare`."""
     names, count = one_or_several(cameras), None if views is None else view_count(views)
     sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
-    if not sources or len(sources) < len(names):
-        refuse_up(up)
-        return ComparedViews(given_cameras(names))
     several = pixels if isinstance(pixels, list) else [pixels]
-    found = views_from(sources, [picture_size(size) for size in several], count, up)
+    if not sources or len(sources) < len(names):
+        found = ComparedViews(given_cameras(names))
+    else:
+        found = views_from(sources, [picture_size(size) for size in several], count, up)
     if found.cameras:
-        refuse_up(up)
+        refuse_beside_given(up, count, several)
     return found
 
 

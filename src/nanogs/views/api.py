@@ -61,7 +61,8 @@ def render(
         NotEnoughMemoryError: Even streaming takes more memory than is free or allowed.
         OptionError: An argument is out of range, or there is no such device.
     """
-    wanted, transparent = known_cameras(cameras, up), as_switch("`transparent`", transparent)
+    wanted = known_cameras(cameras, up, views, pixels)
+    transparent = as_switch("`transparent`", transparent)
     with opened(model) as source:
         most = None if max_memory is None else as_bytes(max_memory)
         room = room_for_pictures(

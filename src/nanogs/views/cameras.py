@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from nanogs.errors import OptionError
+from nanogs.protocol import PIXELS, VIEWS
 from nanogs.protocol import Kind as Origin
 from nanogs.ranges import is_number, one_or_several
 from nanogs.raster.camera import Camera
@@ -126,12 +127,17 @@ def view_count(views: int) -> int:
     return int(views)
 
 
-def known_cameras(cameras: Cameras, up: Sequence[float] | None = None) -> str | list[Camera]:
+def known_cameras(
+    cameras: Cameras,
+    up: Sequence[float] | None = None,
+    views: int | None = None,
+    pixels: int | tuple[int, int] = PIXELS,
+) -> str | list[Camera]:
     """Return the name of a kind of automatic cameras, or the cameras given or in a file.
 
     Raises:
-        NanogsError: There is no such file, it cannot be read, they are no cameras, or `up`, which
-            is for automatic ones, is given beside them.
+        NanogsError: There is no such file, it cannot be read, they are no cameras, or one of the
+            other arguments, which are for automatic ones, is given beside them.
     """
     if not isinstance(cameras, str | PathLike):
         found = given_cameras(cameras)
@@ -139,21 +145,34 @@ def known_cameras(cameras: Cameras, up: Sequence[float] | None = None) -> str | 
         return source
     else:
         found = cameras_from(source)
-    refuse_up(up)
+    refuse_beside_given(up, views, [pixels])
     return found
 
 
-def refuse_up(up: Sequence[float] | None) -> None:
-    """Refuse an up direction, which is for automatic cameras, beside given ones.
+def refuse_beside_given(
+    up: Sequence[float] | None, views: int | None, pixels: Sequence[int | tuple[int, int]]
+) -> None:
+    """Refuse options of automatic cameras beside given ones, unless they are the defaults.
+
+    Args:
+        up: The up direction.
+        views: The number of views; None for the usual one.
+        pixels: The sizes of views.
 
     Raises:
-        OptionError: There is one.
+        OptionError: One is given, or is not valid.
     """
-    if up is not None:
-        raise OptionError(
-            "`up` cannot be combined with given cameras, which are views of their own; leave one of"
-            " them out."
-        )
+    usual = {
+        "up": up is None,
+        "views": views is None or view_count(views) == VIEWS,
+        "pixels": [picture_size(size) for size in pixels] == [picture_size(PIXELS)],
+    }
+    for name, is_usual in usual.items():
+        if not is_usual:
+            raise OptionError(
+                f"`{name}` cannot be combined with given cameras, which are views of their own;"
+                " leave one of them out."
+            )
 
 
 def given_cameras(cameras: Camera | Sequence[Camera]) -> list[Camera]:

@@ -53,7 +53,7 @@ def draw_cost(
         NotEnoughMemoryError: Measuring takes more memory than is free or allowed.
         OptionError: An argument is out of range.
     """
-    wanted = known_cameras(cameras, up)
+    wanted = known_cameras(cameras, up, views, pixels)
     limit = None if max_memory is None else as_bytes(max_memory)
     with opened(model) as source:
         room = room_for_pictures(
