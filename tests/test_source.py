@@ -15,7 +15,7 @@ from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.findings import Finding, join_findings
 from nanogs.frames import change_frame
 from nanogs.io.in_order import in_order
-from nanogs.source import Filtered, InMemory, Joined, Reduced, Turned, base
+from nanogs.source import Filtered, InMemory, Joined, Reduced, Tagged, Turned, base
 from nanogs.splats import ExtraElement
 from strategies import assert_same
 
@@ -347,3 +347,36 @@ def test_notes_are_about_all_rows_once_however_these_are_read(tmp_path, small_pa
             assert source.read(0, 0).notes == ()
         expected = tuple(Finding(note.template, 2 * note.value) for note in file.load().notes)
         assert notes_of_blocks(Joined([file, file]), 100) == expected
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda given: Filtered(given, [filters.sphere((0, 0, 0), 1)]),
+        lambda given: Turned(given, "rdf", "rub"),
+        lambda given: Reduced(given, 0),
+        lambda given: Tagged(given, "mip"),
+        lambda given: Joined([given, given]),
+    ],
+)
+def test_sources_of_what_is_no_source_are_refused(made):
+    model = random_splats(3)
+    with pytest.raises(ModelError, match=r"not Splats; nanogs\.source\.InMemory makes one of a mo"):
+        made(model)
+    with pytest.raises(ModelError, match=r"not str; nanogs\.open makes one of a file"):
+        made("a.ply")
+    assert len(made(InMemory(model)).columns.extras) == 0
+
+
+def test_sources_refuse_invalid_arguments_when_they_are_made():
+    source = InMemory(random_splats(3))
+    with pytest.raises(ModelError, match=r"not the path 'a\.ply'"):
+        InMemory("a.ply")
+    for wrong in (filters.sphere((0, 0, 0), 1), [filters.sphere], "sphere"):
+        with pytest.raises(OptionError, match="must be a list of filters"):
+            Filtered(source, wrong)
+    with pytest.raises(OptionError, match="SH degree must be from 0 to 4, not 5"):
+        Reduced(source, 5)
+    with pytest.raises(OptionError, match="mode must be one of default, mip, 2dgs, not 'mips'"):
+        Tagged(source, "mips")
+    assert Tagged(source, "mip").load().render_mode == "mip"

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from nanogs._types import I64
-from nanogs.errors import OptionError
+from nanogs.errors import ModelError, OptionError
 from nanogs.findings import join_findings
 from nanogs.formatting import counted
 from nanogs.ranges import is_number
@@ -174,6 +174,20 @@ class Source(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def refuse_no_source(given: object) -> None:
+    """Refuse an argument that is not a `Source`, such as a path or a model.
+
+    Raises:
+        ModelError: It is none.
+    """
+    if isinstance(given, Source):
+        return
+    kind, made = type(given).__name__, "nanogs.open makes one of a file"
+    if isinstance(given, Splats):
+        made = "nanogs.source.InMemory makes one of a model"
+    raise ModelError(f"A source is needed, not {kind}; {made}.")
 
 
 def joined_rows(parts: Sequence[Splats]) -> Splats:

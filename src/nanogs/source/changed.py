@@ -8,17 +8,26 @@ from itertools import pairwise
 import numpy as np
 
 from nanogs._types import I64
-from nanogs.filters import Filter, FilterReport, apply, refuse_empty, refuse_whole
+from nanogs.errors import OptionError
+from nanogs.filters import (
+    Filter,
+    FilterReport,
+    apply,
+    checked_filters,
+    refuse_empty,
+    refuse_whole,
+)
 from nanogs.frames import change_between, change_frame
 from nanogs.source import base
-from nanogs.source.base import Source, joined_rows, span_of
-from nanogs.splats import ExtraElement, RenderMode, Splats, refuse_misaligned
+from nanogs.source.base import Source, joined_rows, refuse_no_source, span_of
+from nanogs.splats import ExtraElement, RenderMode, Splats, check_degree, refuse_misaligned
 
 
 class _Changed(Source):
     """A source that changes the rows of another when these are read."""
 
     def __init__(self, source: Source) -> None:
+        refuse_no_source(source)
         self._source, self.name = source, source.name
         self.columns, self.elements = source.columns, source.elements
 
@@ -80,9 +89,13 @@ class Reduced(_Mapped):
     Args:
         source: The model.
         degree: The highest that may stay, 0 to 4.
+
+    Raises:
+        OptionError: The degree is not from 0 to 4.
     """
 
     def __init__(self, source: Source, degree: int) -> None:
+        check_degree(degree)
         super().__init__(source, lambda rows: rows.with_sh_degree(degree))
         self.columns = self.columns.reduced(degree)
 
@@ -92,10 +105,16 @@ class Tagged(_Mapped):
 
     Args:
         source: The model.
-        mode: The rasteriser it is to be drawn by.
+        mode: The rasteriser it is to be drawn by, as a `RenderMode` or its value.
+
+    Raises:
+        OptionError: There is no such mode.
     """
 
-    def __init__(self, source: Source, mode: RenderMode) -> None:
+    def __init__(self, source: Source, mode: RenderMode | str) -> None:
+        if mode not in tuple(RenderMode):
+            raise OptionError(f"The mode must be one of {', '.join(RenderMode)}, not {mode!r}.")
+        mode = RenderMode(mode)
         super().__init__(source, lambda rows: replace(rows, render_mode=mode))
         self.columns = replace(self.columns, render_mode=mode.value)
 
@@ -112,13 +131,15 @@ class Filtered(_Changed):
         kept: Number of rows left of each page, if they have been counted.
 
     Raises:
-        OptionError: A filter has to see the whole model; `nanogs.filters.apply` can be used for it.
+        OptionError: They are no filters, or one has to see the whole model; `nanogs.filters.apply`
+            can be used for it.
     """
 
     def __init__(
         self, source: Source, filters: Sequence[Filter], kept: Sequence[int] | None = None
     ) -> None:
         super().__init__(source)
+        filters = checked_filters(filters)
         refuse_whole(filters)
         self._filters, self._given = filters, kept
         self._last: tuple[int, Splats] | None = None

@@ -8,7 +8,7 @@ import numpy as np
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
-from nanogs.source.base import Layout, Source, joined_rows
+from nanogs.source.base import Layout, Source, joined_rows, refuse_no_source
 from nanogs.splats import RenderMode, Splats, padded
 
 
@@ -27,6 +27,8 @@ class Joined(Source):
     """
 
     def __init__(self, parts: Sequence[Source], layout: Layout | None = None) -> None:
+        for part in parts:
+            refuse_no_source(part)
         self._parts = parts
         self.columns = layout or joined_layout(parts)
         self._ends = [0, *accumulate(part.count for part in parts)]

@@ -6,13 +6,14 @@ import numpy as np
 
 from nanogs._types import I64
 from nanogs.source.base import Layout, Source
-from nanogs.splats import ExtraElement, Splats
+from nanogs.splats import ExtraElement, Splats, refuse_other
 
 
 class InMemory(Source):
     """A model in memory, as a source; `read` returns views of it."""
 
     def __init__(self, splats: Splats) -> None:
+        refuse_other(splats)
         self._splats, self.count = splats, len(splats)
         self.elements = tuple((element.name, len(element.rows)) for element in splats.elements)
         self.columns = Layout(
