@@ -1,5 +1,6 @@
 """Progress steps that the library reports."""
 
+import io
 import itertools
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from nanogs.errors import OptionError
 from nanogs.fit.parameters import RefitParameters
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod.layout import Layout
@@ -240,6 +242,12 @@ def test_writing_sog_reports_the_progress_of_its_palette(tmp_path):
         nanogs.save(splats, tmp_path / name, progress=reported.append)
         assert_consistent(reported)
         assert len(reported) >= steps
+    reported.clear()
+    nanogs.save(splats, io.BytesIO(), format=".sog", progress=reported.append)
+    assert_consistent(reported)
+    assert len(reported) >= 6
+    with pytest.raises(OptionError, match="`progress` must be a function or None"):
+        nanogs.save(splats, io.BytesIO(), format=".ply", progress="yes")
 
 
 def test_an_exception_of_the_callback_ends_the_call():

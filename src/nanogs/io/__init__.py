@@ -181,7 +181,9 @@ def save(
         refuse_other(splats)
     overwrite = as_switch("`overwrite`", overwrite)
     if not isinstance(path, str | PathLike):
-        write_file(splats, path, format, format_options or {})
+        tracker = Tracker(progress, [Stage("write", 1.0)])
+        write_file(splats, path, format, format_options or {}, tracker.part)
+        tracker.finish()
         return
     path = place(path)
     named = as_named(path, format)

@@ -9,7 +9,7 @@ import os
 import shutil
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, cast
 
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError, OutputError, shown_as
@@ -18,6 +18,7 @@ from nanogs.io.format import FormatOptions
 from nanogs.io.registry import sniff
 from nanogs.io.retag import retagged
 from nanogs.io.temporary import into_temporary
+from nanogs.progress import PartProgress
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -92,6 +93,7 @@ def write_file(
     file: BinaryIO,
     format: str | None,  # noqa: A002 - the name in `save`
     options: FormatOptions,
+    on_progress: PartProgress,
 ) -> None:
     """Write a model to a file object, once all of it has been encoded.
 
@@ -100,6 +102,7 @@ def write_file(
         file: Opened for writing bytes; the model is written at its current position.
         format: Suffix of the format; by default taken from the file's name.
         options: Options of the format.
+        on_progress: Progress callback, for formats that report it.
 
     Raises:
         NanogsError: As for `save`; or it is no file object, is closed, is not opened for writing
@@ -112,9 +115,11 @@ def write_file(
             "An open file has no format by itself; name it, as in nanogs.save(splats, file,"
             ' format=".ply").'
         )
-    write = registry.writer(Path(f"stream{suffix}"), options)
+    named = Path(f"stream{suffix}")
+    write, known = registry.writer(named, options), registry.writable(named)
+    given: dict[str, Any] = {"on_progress": on_progress} if known.reports_progress else {}
     with into_temporary(), SpooledTemporaryFile(_IN_MEMORY) as made:
-        write(splats, cast("BinaryIO", made))
+        write(splats, cast("BinaryIO", made), **given)
         made.seek(0)
         try:
             shutil.copyfileobj(made, file)
