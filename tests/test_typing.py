@@ -33,6 +33,16 @@ moved = nanogs.Splats(
 )
 small, report = nanogs.simplify(moved[:100], ratio=0.1, progress=show)
 count: int = report.achieved_count
+levels = nanogs.levels(moved, np.array([0.5, 0.1]), preset="fast")
+counts = [len(level) for level, _ in levels]
+camera = nanogs.Camera(
+    width=64, height=48, fx=60, fy=60, cx=32, cy=24, world_to_camera=np.eye(4).tolist()
+)
+pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
+front = nanogs.Camera(64, 48, 60, 60, 32, 24, pose)
+[picture, _] = nanogs.render(small, [camera, front])
+with nanogs.open("scene.ply") as source:
+    two: nanogs.Splats = source.take([3, 1])
 [score] = nanogs.compare(cloud, small, views=4).models
 psnr: float = score.psnr
 nanogs.save(small, "small.ply", overwrite=True)

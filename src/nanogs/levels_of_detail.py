@@ -3,7 +3,7 @@
 This is the only module that joins `pipeline`, which makes levels, and `lod`, which lays them out.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -61,7 +61,7 @@ _OPTIONS = frozenset({
 def write_levels(
     model: Model | Sequence[str | PathLike[str]],
     folder: str | PathLike[str],
-    ratios: Sequence[float] | None = None,
+    ratios: Iterable[float] | None = None,
     *,
     source: str | None = None,
     layout: Layout | str = Layout.FILES,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def levels(
     model: Model,
-    ratios: Sequence[float],
+    ratios: Iterable[float],
     *,
     preset: str = DEFAULT_PRESET,
     sh_degree: int | None = None,
@@ -80,7 +80,7 @@ def levels(
 
 def judged_levels(
     model: Model,
-    ratios: Sequence[float],
+    ratios: Iterable[float],
     *,
     judged: bool,
     sharing: Sharing | None = None,

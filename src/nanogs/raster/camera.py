@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from nanogs._types import F64
 from nanogs.errors import ModelError, OptionError
 from nanogs.ranges import is_number
 from nanogs.raster.lens import Lens
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 Item = TypeVar("Item")
 
@@ -58,6 +61,23 @@ class Camera:
     near: float = NEAR
     lens: Lens | None = None
     whole: tuple[float, float, float, float] | None = None
+
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self,
+            width: int,
+            height: int,
+            fx: float,
+            fy: float,
+            cx: float,
+            cy: float,
+            world_to_camera: ArrayLike,
+            name: str = ...,
+            near: float = ...,
+            lens: Lens | None = ...,
+            whole: Sequence[float] | None = ...,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         """Convert numbers to Python's and the matrix to an array, and refuse all else."""

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from nanogs.formatting import counted
 from nanogs.ranges import is_number
 from nanogs.slices import BLOCK_ROWS
 from nanogs.splats import ExtraElement, Splats, concatenate
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 PAGE_ROWS = 1 << 13  # rows for each count of a filter, and that `take` reads at a time
 
@@ -95,7 +98,7 @@ class Source(ABC):
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows as `read` does, after it has checked that they exist."""
 
-    def take(self, rows: I64) -> Splats:
+    def take(self, rows: "ArrayLike") -> Splats:
         """Read rows by number, in any order; those far apart are read one page at a time.
 
         Args:
