@@ -336,6 +336,17 @@ def test_from_gsplat_accepts_tensors_colours_and_missing_harmonics():
     assert Splats.from_gsplat(tensors | harmonics, render_mode=RenderMode.MIP).render_mode == "mip"
 
 
+def test_from_gsplat_notes_every_name_that_it_leaves_out():
+    tensors = random_splats(4).to_gsplat()
+    rgb = {"colors": np.eye(4, 3, dtype=int)}
+    both = Splats.from_gsplat(tensors | rgb | {3: 3})
+    assert both.notes == ("Left out of gsplat's dictionary: 3, colors.",)
+    del tensors["sh0"]
+    plain = Splats.from_gsplat(tensors | rgb)
+    assert plain.notes == ("Left out of gsplat's dictionary: shN.",)
+    assert Splats.from_gsplat(tensors | rgb | {"shN": None}).notes == ()
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -345,6 +356,10 @@ def test_from_gsplat_accepts_tensors_colours_and_missing_harmonics():
         ({"shN": np.zeros((4, 9))}, r"shN must be \(4, K, 3\), not \(4, 9\)"),
         ({"shN": np.zeros((4, 5, 3))}, "sh must be"),
         ({"scales": np.zeros(4)}, "log_scales must be"),
+        (
+            {"sh0": None, "shN": None, "colors": np.full((4, 3), 255, np.uint8)},
+            "colors must be RGB from 0 to 1, not uint8 up to 255; divide 8-bit values by 255",
+        ),
     ],
 )
 def test_invalid_gsplat_dictionaries_are_refused(changes, message):

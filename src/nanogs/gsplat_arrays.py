@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from nanogs._arrays import as_floats
+from nanogs._arrays import as_array, as_floats
 from nanogs._types import F32, Array, F
 from nanogs.activations import base_colour
 from nanogs.errors import ModelError
@@ -17,7 +17,6 @@ from nanogs.splats import RenderMode, Splats
 
 _SHAPED = {"log_scales": "scales", "quats": "quats", "opacity_logits": "opacities"}
 _NEEDED = ("means", *_SHAPED.values())
-_COLOURS = ("colors", "sh0", "shN")
 
 
 def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode | str) -> Splats:
@@ -39,7 +38,8 @@ def from_gsplat(tensors: Mapping[str, object], render_mode: RenderMode | str) ->
             "The colours come from a network (app_opt), which splats cannot hold; train without it."
         )
     means = as_floats("means", given["means"], double=True)
-    left_out = sorted(given.keys() - {*_NEEDED, *_COLOURS})
+    used = {*_NEEDED, *(("sh0", "shN") if "sh0" in given else ("colors",))}
+    left_out = sorted(str(name) for name in given.keys() - used if given[name] is not None)
     columns: dict[str, Any] = {
         ours: as_floats(theirs, given[theirs]) for ours, theirs in _SHAPED.items()
     }
@@ -69,8 +69,14 @@ def to_gsplat(splats: Splats) -> dict[str, F32]:
 def _harmonics(given: Mapping[str, object], count: int) -> Array:
     """Return (N, K, 3) coefficients from `sh0` and `shN`, from `colors`, or from RGB colours."""
     if "sh0" not in given:
-        colors = as_floats("colors", given["colors"])
-        return _base(colors) if colors.ndim == 2 else colors
+        colors = as_array("colors", given["colors"])
+        if colors.ndim == 2 and colors.dtype.kind in "iu" and ((colors < 0) | (colors > 1)).any():
+            raise ModelError(
+                f"colors must be RGB from 0 to 1, not {colors.dtype} up to {colors.max()}; divide"
+                " 8-bit values by 255."
+            )
+        floats = as_floats("colors", colors)
+        return _base(floats) if floats.ndim == 2 else floats
     base = as_floats("sh0", given["sh0"])
     base = base[:, None] if base.ndim == 2 else base
     if given.get("shN") is None:
