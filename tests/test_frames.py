@@ -84,7 +84,7 @@ def test_normals_are_turned_and_other_columns_are_not():
     assert [column.tolist() for column in turned.values()] == [[3], [1], [-2], [1]]
 
 
-@pytest.mark.parametrize("name", ["", "rd", "rdd", "xyz", "rdfb"])
+@pytest.mark.parametrize("name", ["", "rd", "rdd", "xyz", "rdfb", None, 3])
 def test_invalid_frame_names_are_refused(name):
     assert len(FRAMES) == 48
     with pytest.raises(OptionError, match="where x, y and z point"):

@@ -64,7 +64,7 @@ def checked_frame(name: str) -> str:
     Raises:
         OptionError: There is no such frame.
     """
-    if name.lower() not in FRAMES:
+    if not isinstance(name, str) or name.lower() not in FRAMES:
         raise OptionError(
             f"A frame says where x, y and z point, like rdf (right, down, forward) or rub (right,"
             f" up, back), not {name!r}."
