@@ -130,6 +130,18 @@ def test_iterating_gives_models_of_one_splat_each(model):
     assert_same(nanogs.splats.concatenate(list(model)), model)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_models_whose_columns_differ_are_not_concatenated(order):
+    plain, labelled = random_splats(3), random_splats(4, extras={"label": np.arange(4)})
+    with pytest.raises(ModelError, match=r"extra columns differ \(label\) cannot be concatenated"):
+        nanogs.splats.concatenate([plain, labelled][::order])
+    with pytest.raises(ModelError, match="At least one model is needed"):
+        nanogs.splats.concatenate([])
+    with pytest.raises(ModelError, match=r"A model is needed, not the path 'a\.ply'"):
+        nanogs.splats.concatenate(["a.ply", "b.ply"])
+    assert len(nanogs.splats.concatenate([plain, plain])) == 6
+
+
 def test_elements_with_one_row_per_splat_are_indexed_and_others_kept():
     one_each = ExtraElement("marks", np.arange(5.0).view([("a", "f8")]))
     other = ExtraElement("camera", np.zeros(2, [("x", "f4")]))

@@ -433,8 +433,20 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
 
     Args:
         parts: One or more models.
+
+    Raises:
+        ModelError: There is none, or their extra columns differ.
     """
+    if not parts:
+        raise ModelError("At least one model is needed.")
     first = parts[0]
+    for part in parts:
+        refuse_other(part)
+        if differing := sorted(part.extras.keys() ^ first.extras.keys()):
+            raise ModelError(
+                f"Models whose extra columns differ ({', '.join(differing)}) cannot be"
+                " concatenated; leave these out with dataclasses.replace(model, extras={})."
+            )
     most = max(part.sh.shape[1] for part in parts)
     return replace(
         first,
