@@ -517,8 +517,15 @@ def test_nonfinite_and_transparent_rows_keep_their_bytes():
     logits[1] = -np.inf
     quats[1] *= 3
     dirty = dataclasses.replace(small, means=means, opacity_logits=logits, quats=quats)
+    means = original.means.copy()
+    means[:2] = np.inf
+    original = dataclasses.replace(original, means=means)
     fitted, report = refit(original, dirty, parameters=QUICK)
     assert report.improved
+    assert report.notes == (
+        "Of the original model, 2 splats with a NaN or infinite value were not drawn.",
+        "Of the small model, 1 splat with a NaN or infinite value was not drawn.",
+    )
     first = np.arange(2)
     assert model_bytes(fitted.take(first)) == model_bytes(dirty.take(first))
     assert fitted.take(np.arange(2, len(small))).finite().all()

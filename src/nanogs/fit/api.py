@@ -12,6 +12,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import RefitReport
 from nanogs.fit.stages import refit_stages
+from nanogs.formatting import undrawn
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions, given_options, shared_entries
 from nanogs.io.limits import refuse_unstorable
@@ -94,8 +95,7 @@ def refit(
         show_progress(progress) as on_step,
     ):
         large, given = as_splats(original, "the original"), as_splats(small, "the small model")
-        _refuse_unusable(large, "original")
-        _refuse_unusable(given, "small")
+        unusable = [*_unusable(large, "original"), *_unusable(given, "small")]
         if sharing is not None:  # such a value cannot be part of a shared set either
             refuse_unstorable(given, known.suffix)
         entries = shared_entries(sharing, given.sh_degree, len(given))
@@ -113,6 +113,7 @@ def refit(
         seconds=clock.seconds | report.seconds,
         total_seconds=time.perf_counter() - begin,
         notes=(
+            *unusable,
             *lens_notes(cameras or ()),
             *unseen,
             *report.notes,
@@ -191,9 +192,17 @@ def _listed(cameras: "Sequence[Camera] | Camera") -> "list[Camera]":
     return found
 
 
-def _refuse_unusable(splats: Splats, name: str) -> None:
-    if not splats.finite().any():
+def _unusable(splats: Splats, name: str) -> tuple[str, ...]:
+    """Return the note on splats of a model that are not drawn.
+
+    Raises:
+        ModelError: None is.
+    """
+    usable = int(splats.finite().sum())
+    if not usable:
         raise ModelError(
             f"The {name} model holds no usable splat: it is empty, or each row has a NaN or an "
             "infinite value; check the file it came from."
         )
+    left_out = len(splats) - usable
+    return (f"Of the {name} model, {undrawn(left_out)}.",) if left_out else ()
