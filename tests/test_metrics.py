@@ -77,10 +77,12 @@ def test_pixels_that_are_not_finite_are_refused(metric, value):
 
 
 @pytest.mark.parametrize("metric", [psnr, ssim, flip])
-def test_byte_images_are_refused(metric):
+def test_byte_images_and_lists_are_refused(metric):
     image = (IMAGE * 255).astype(np.uint8)
-    with pytest.raises(OptionError, match="floats"):
+    with pytest.raises(OptionError, match=r"floats in .*, not uint8; divide 8-bit values by 255"):
         metric(image, image)
+    with pytest.raises(OptionError, match=r"NumPy arrays, not list; np\.asarray makes them"):
+        metric(IMAGE, IMAGE.tolist())
 
 
 def test_colours_are_clipped_to_the_range_0_to_1():

@@ -1,6 +1,7 @@
 """Checks of the metrics' arguments."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -24,14 +25,20 @@ def check_pair(a: Array, b: Array) -> None:
     """Refuse two arrays unless they are images of the same shape in floating point.
 
     Raises:
-        OptionError: The shapes differ, are not those of images or have no pixel, or the values are
-            integers, whose range a metric would have to guess.
+        OptionError: They are no arrays, their shapes differ, are not those of images or have no
+            pixel, or the values are integers, whose range a metric would have to guess.
     """
-    for image in (a, b):
+    images: tuple[Any, Any] = (a, b)
+    for image in images:
+        if not isinstance(image, np.ndarray):
+            kind = type(image).__name__
+            raise OptionError(f"images must be NumPy arrays, not {kind}; np.asarray makes them.")
         if image.ndim not in (2, 3) or image.size == 0:
             raise OptionError(f"an image must be (H, W) or (H, W, C), not {image.shape}.")
         if not np.issubdtype(image.dtype, np.floating):
-            raise OptionError(f"images must be floats in [0, 1], not {image.dtype}.")
+            raise OptionError(
+                f"images must be floats in [0, 1], not {image.dtype}; divide 8-bit values by 255."
+            )
     if a.shape != b.shape:
         raise OptionError(f"images must have the same size, not {a.shape} and {b.shape}.")
 
