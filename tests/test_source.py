@@ -249,6 +249,29 @@ def test_filters_of_a_source_refuse_the_same_as_in_memory(small_pages):
         _ = Filtered(InMemory(with_rows), KEPT).count
 
 
+@pytest.mark.parametrize(
+    ("kept", "message"),
+    [
+        (lambda rows: rows.opacities(), "not float64 of shape"),
+        (lambda rows: np.arange(2), r"not int64 of shape \(2,\)"),
+        (lambda rows: np.ones(2, bool), r"not bool of shape \(2,\)"),
+        (lambda rows: None, "not object of shape"),
+    ],
+)
+def test_a_filter_that_returns_no_mask_is_refused(kept, message):
+    model = random_splats(9)
+    own = filters.Filter("own", "", kept)
+    expected = f"The filter 'own' must return one flag for each of 9 splats, {message}"
+    with pytest.raises(OptionError, match=expected):
+        filters.apply(model, [own])
+    with pytest.raises(OptionError, match=expected):
+        Filtered(InMemory(model), [own]).load()
+    with pytest.raises(OptionError, match=expected):
+        Filtered(InMemory(model), [own]).read(0, 1)
+    flags = filters.Filter("own", "", lambda rows: [True, False, *[False] * (len(rows) - 2)])
+    assert len(filters.apply(model, [flags])[0]) == 1
+
+
 def test_filters_can_be_restored_from_their_record():
     model = model_of()
     for each in [

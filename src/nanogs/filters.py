@@ -48,6 +48,20 @@ class Filter:
     whole: bool = False
     plain: Plain | None = None
 
+    def mask(self, splats: Splats) -> Bool:
+        """Return the (N,) bool mask of the rows to keep.
+
+        Raises:
+            OptionError: `keep` returned something else.
+        """
+        found = np.asarray(self.keep(splats))
+        if found.dtype != bool or found.shape != (len(splats),):
+            raise OptionError(
+                f"The filter {self.name!r} must return one flag for each of"
+                f" {counted(len(splats), 'splat')}, not {found.dtype} of shape {found.shape}."
+            )
+        return found
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the plain form, since the functions of this module's filters are local."""
         if self.plain is not None:
@@ -94,7 +108,7 @@ def apply(splats: Splats, filters: Sequence[Filter]) -> tuple[Splats, tuple[Filt
 
     Raises:
         ModelError: No splat is left, or a further PLY element has one row for each splat.
-        OptionError: They are no filters.
+        OptionError: They are no filters, or one returns no mask.
     """
     left, _, reports = apply_with_mask(splats, filters)
     return left, reports
@@ -114,7 +128,7 @@ def apply_with_mask(
     refuse_other(splats)
     reports, stays = [], np.ones(len(splats), np.bool_)
     for each in checked_filters(filters):
-        keep = each.keep(splats)
+        keep = each.mask(splats)
         left = int(keep.sum())
         refuse_empty(each, len(splats), left)
         reports.append(FilterReport(each.name, each.argument, len(splats) - left, left))

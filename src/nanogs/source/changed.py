@@ -155,7 +155,7 @@ class Filtered(_Changed):
         for page in self._source.blocks(base.PAGE_ROWS):
             left, counts = page, []
             for each in self._filters:
-                left = left.take(each.keep(left))
+                left = left.take(each.mask(left))
                 counts.append(len(left))
             pages.append(counts)
         passed = np.array(pages, np.int64).reshape(-1, len(self._filters))
@@ -211,7 +211,7 @@ class Filtered(_Changed):
             at = number * base.PAGE_ROWS
             rows = self._source.read(at, min(at + base.PAGE_ROWS, self._source.count))
             for each in self._filters:
-                rows = rows.take(each.keep(rows))
+                rows = rows.take(each.mask(rows))
             last = self._last = number, rows
         return last[1]
 
