@@ -194,6 +194,27 @@ def test_an_argument_that_is_no_model_is_refused_with_its_type(call):
         call("missing.ply")
 
 
+@pytest.mark.parametrize(
+    "call",
+    [
+        nanogs.io.losses,
+        nanogs.io.encoded_bytes,
+        nanogs.io.round_trip,
+        nanogs.save,
+    ],
+)
+def test_functions_of_io_refuse_what_is_no_model(tmp_path, call):
+    for suffix in (".spz", ".ply"):
+        path = tmp_path / f"out{suffix}"
+        with pytest.raises(
+            ModelError, match=r"A model is needed, not the path 'a\.ply'; nanogs\.l"
+        ):
+            call("a.ply", path)
+        with pytest.raises(ModelError, match="A model is needed, Splats, not NoneType"):
+            call(None, path)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_path_where_a_model_is_needed_is_refused(tmp_path):
     path = tmp_path / "a.ply"
     with pytest.raises(ModelError, match=r"A model is needed, not the path '.*nanogs.load"):

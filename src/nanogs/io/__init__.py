@@ -177,8 +177,7 @@ def save(
             option.
         OutputError: The file or folder exists and `overwrite` is off, or it cannot be written.
     """
-    if not isinstance(splats, Source):
-        refuse_other(splats)
+    _refuse_no_model(splats)
     overwrite = as_switch("`overwrite`", overwrite)
     if not isinstance(path, str | PathLike):
         tracker = Tracker(progress, [Stage("write", 1.0)])
@@ -206,6 +205,16 @@ def save(
     tracker.finish()
 
 
+def _refuse_no_model(model: object) -> None:
+    """Refuse an argument that is neither `Splats` nor a source.
+
+    Raises:
+        ModelError: It is neither.
+    """
+    if not isinstance(model, Source):
+        refuse_other(model)
+
+
 def encoded_bytes(
     splats: Splats,
     path: str | PathLike[str],
@@ -216,6 +225,7 @@ def encoded_bytes(
     Raises:
         NanogsError: As for `save`.
     """
+    _refuse_no_model(splats)
     buffer = BytesIO()
     registry.writer(place(path), format_options)(splats, buffer)
     return buffer.getbuffer().nbytes
@@ -234,6 +244,7 @@ def round_trip(
     Raises:
         NanogsError: As for `save`.
     """
+    _refuse_no_model(splats)
     known = registry.writable(place(path))
     if known.suffix == ".ply":
         return splats
@@ -301,6 +312,7 @@ def losses(
     Raises:
         OptionError: As for `save`.
     """
+    _refuse_no_model(splats)
     known = registry.writable(place(path))
     if not len(splats):
         return (f"The model has no splats, {known.suffix} refuses it.",)
