@@ -40,10 +40,11 @@ camera = nanogs.Camera(
 )
 pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
 front = nanogs.Camera(64, 48, 60, 60, 32, 24, pose)
-[picture, _] = nanogs.render(small, [camera, front])
+[picture, _] = nanogs.render(small, [camera, front], background=np.ones(3))
+nanogs.mode_evidence(small, front, background=[1, 1, 1])
 with nanogs.open("scene.ply") as source:
     two: nanogs.Splats = source.take([3, 1])
-[score] = nanogs.compare(cloud, small, views=4).models
+[score] = nanogs.compare(cloud, small, views=4, background=[1, 1, 1]).models
 psnr: float = score.psnr
 nanogs.save(small, "small.ply", overwrite=True)
 """

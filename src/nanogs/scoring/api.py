@@ -1,6 +1,6 @@
 """`nanogs.compare`: image quality of models, compared with their original or photographs."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from os import PathLike
@@ -12,7 +12,7 @@ from nanogs.errors import OptionError
 from nanogs.io.models import Model, opened
 from nanogs.io.urls import place, short_names
 from nanogs.progress import Progress, Tracker
-from nanogs.protocol import PIXELS, Background, plain_background
+from nanogs.protocol import PIXELS, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import one_or_several
 from nanogs.scoring.packing import packing_of
@@ -32,7 +32,7 @@ def compare(
     views: int | None = None,
     pixels: Pixels = PIXELS,
     up: Sequence[float] | None = None,
-    background: Background | None = None,
+    background: Iterable[float] | None = None,
     photos: str | PathLike[str] | None = None,
     images: str | None = None,
     split: str = "test",

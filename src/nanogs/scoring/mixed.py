@@ -1,6 +1,6 @@
 """`nanogs.compare_mixed`: score streamed models as viewers draw them, far chunks coarser."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from os import PathLike
@@ -20,7 +20,7 @@ from nanogs.io.urls import place
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import model_bytes, models_bytes, scoring_bytes
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_background
+from nanogs.protocol import BLACK, PIXELS, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
 from nanogs.raster.lens import lens_notes
@@ -99,7 +99,7 @@ def compare_mixed(
     views: int | None = None,
     pixels: Pixels = PIXELS,
     up: Sequence[float] | None = None,
-    background: Background = BLACK,
+    background: Iterable[float] = BLACK,
     threads: int | None = None,
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,

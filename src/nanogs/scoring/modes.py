@@ -6,7 +6,7 @@ the dilation, and training adapts to that. A model trained without antialiasing 
 dilation: many of its splats are thinner than that.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -17,7 +17,7 @@ from nanogs.costs import DrawCost
 from nanogs.formatting import number_text
 from nanogs.io.models import Model, opened
 from nanogs.progress import PartProgress, Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Protocol, plain_background
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.raster.lens import lens_notes
 from nanogs.scoring.view_sets import refuse_beside_views
@@ -105,7 +105,7 @@ def mode_evidence(
     photos: str | PathLike[str] | None = None,
     images: str | None = None,
     split: str = "test",
-    background: Background | None = None,
+    background: Iterable[float] | None = None,
     views: int = VIEWS,
     pixels: int | tuple[int, int] = PIXELS,
     up: Sequence[float] | None = None,
@@ -170,7 +170,7 @@ def render_findings(
     photos: str | PathLike[str] | None = None,
     images: str | None = None,
     split: str = "test",
-    background: Background | None = None,
+    background: Iterable[float] | None = None,
     views: int = VIEWS,
     pixels: int | tuple[int, int] = PIXELS,
     up: Sequence[float] | None = None,

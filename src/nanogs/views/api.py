@@ -1,12 +1,12 @@
 """`nanogs.render`: render a model into arrays."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from nanogs._types import F32
 from nanogs.bar import show_progress
 from nanogs.io.models import Model, opened
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, plain_background
+from nanogs.protocol import BLACK, PIXELS, VIEWS, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import as_switch
 from nanogs.source import source_of
@@ -22,7 +22,7 @@ def render(
     views: int = VIEWS,
     pixels: int | tuple[int, int] = PIXELS,
     up: Sequence[float] | None = None,
-    background: Background = BLACK,
+    background: Iterable[float] = BLACK,
     transparent: bool = False,
     device: str | None = None,
     threads: int | None = None,
