@@ -217,6 +217,10 @@ def test_open_refuses_what_load_refuses(tmp_path):
         nanogs.open(tmp_path / "a.xyz")
     with pytest.raises(FormatError, match="no such file"):
         nanogs.open(tmp_path / "b.ply")
+    for level in ("0", 0.0, True, None):
+        for read in (nanogs.open, nanogs.load):
+            with pytest.raises(OptionError, match="`level` must be a whole number, not "):
+                read(tmp_path / "a.ply", level=level)
     with pytest.raises(OptionError, match="no levels of detail"):
         nanogs.open(tmp_path / "a.ply", level=1)
     with nanogs.open((tmp_path / "a.ply").rename(tmp_path / "a.dat"), format="ply") as source:

@@ -21,7 +21,7 @@ from nanogs.io.url_files import check_sendable, local_copies
 from nanogs.io.urls import Address, place
 from nanogs.io.wrapper import Downloaded
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.ranges import as_switch
+from nanogs.ranges import as_switch, is_number
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats, refuse_other
 
@@ -109,6 +109,8 @@ def open(  # noqa: A001 - the usual name of this
         OptionError: There is no such level, or the model cannot have that render mode.
     """
     checked_mode(render_mode)
+    if not is_number(level, whole=True):
+        raise OptionError(f"`level` must be a whole number, not {level!r}.")
     path = place(path)
     if not isinstance(path, Address):
         return _opened(path, level, format, render_mode)
