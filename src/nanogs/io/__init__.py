@@ -22,8 +22,8 @@ from nanogs.io.urls import Address, place
 from nanogs.io.wrapper import Downloaded
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.ranges import as_switch, is_number
-from nanogs.source import Source, source_of
-from nanogs.splats import Splats, refuse_other
+from nanogs.source import Source, refuse_no_model, source_of
+from nanogs.splats import Splats
 
 __all__ = [
     "FileInfo",
@@ -179,7 +179,7 @@ def save(
             option.
         OutputError: The file or folder exists and `overwrite` is off, or it cannot be written.
     """
-    _refuse_no_model(splats)
+    refuse_no_model(splats)
     overwrite = as_switch("`overwrite`", overwrite)
     if not isinstance(path, str | PathLike):
         tracker = Tracker(progress, [Stage("write", 1.0)])
@@ -195,7 +195,7 @@ def save(
             save(splats, file or path, format=format, **options)
         return
     tracker = Tracker(progress, [Stage("write", 1.0)])
-    given: dict[str, Any] = {"on_progress": tracker.part} if known.reports_progress else {}
+    given = known.reporting(tracker.part)
     if known.write_folder:
         folder = _folder_of(path, known)
         given |= registry.keywords(known, format_options)
@@ -205,16 +205,6 @@ def save(
         with atomic.atomic_write(path, overwrite=overwrite) as file:
             write(splats, file, **given)
     tracker.finish()
-
-
-def _refuse_no_model(model: object) -> None:
-    """Refuse an argument that is neither `Splats` nor a source.
-
-    Raises:
-        ModelError: It is neither.
-    """
-    if not isinstance(model, Source):
-        refuse_other(model)
 
 
 def encoded_bytes(
@@ -227,7 +217,7 @@ def encoded_bytes(
     Raises:
         NanogsError: As for `save`.
     """
-    _refuse_no_model(splats)
+    refuse_no_model(splats)
     buffer = BytesIO()
     registry.writer(place(path), format_options)(splats, buffer)
     return buffer.getbuffer().nbytes
@@ -246,7 +236,7 @@ def round_trip(
     Raises:
         NanogsError: As for `save`.
     """
-    _refuse_no_model(splats)
+    refuse_no_model(splats)
     known = registry.writable(place(path))
     if known.suffix == ".ply":
         return splats
@@ -314,7 +304,7 @@ def losses(
     Raises:
         OptionError: As for `save`.
     """
-    _refuse_no_model(splats)
+    refuse_no_model(splats)
     known = registry.writable(place(path))
     if not len(splats):
         return (f"The model has no splats, {known.suffix} refuses it.",)

@@ -9,7 +9,7 @@ import os
 import shutil
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import Any, BinaryIO, cast
+from typing import BinaryIO, cast
 
 from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError, OutputError, shown_as
@@ -116,8 +116,7 @@ def write_file(
             ' format=".ply").'
         )
     named = Path(f"stream{suffix}")
-    write, known = registry.writer(named, options), registry.writable(named)
-    given: dict[str, Any] = {"on_progress": on_progress} if known.reports_progress else {}
+    write, given = registry.writer(named, options), registry.writable(named).reporting(on_progress)
     with into_temporary(), SpooledTemporaryFile(_IN_MEMORY) as made:
         write(splats, cast("BinaryIO", made), **given)
         made.seek(0)

@@ -11,6 +11,7 @@ from nanogs.formatting import listed
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
 from nanogs.io.parts import FileSource
+from nanogs.progress import PartProgress
 from nanogs.source import Layout, Source
 from nanogs.splats import MAX_SH_DEGREE, Splats
 
@@ -229,6 +230,10 @@ class Format:
             for name in given_options(options)
             if sh_degree == 0 and self.options[name].of_harmonics
         )
+
+    def reporting(self, on_progress: PartProgress) -> dict[str, Any]:
+        """Return the argument by which `write` and `write_folder` report progress, if they do."""
+        return {"on_progress": on_progress} if self.reports_progress else {}
 
     def extra_memory(self, model: int) -> int:
         """Estimate the bytes of memory that writing takes beside a held model of `model` bytes."""

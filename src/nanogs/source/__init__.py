@@ -8,7 +8,7 @@ on a format is in `io`.
 from nanogs.source.base import Layout, Source, joined_rows, span_of
 from nanogs.source.changed import Filtered, Reduced, Tagged, Turned, turned_source
 from nanogs.source.joined import Joined, fitted, joined_layout
-from nanogs.source.whole import InMemory, source_of
+from nanogs.source.whole import InMemory, refuse_no_model, source_of
 
 __all__ = [
     "Filtered",
@@ -22,6 +22,7 @@ __all__ = [
     "fitted",
     "joined_layout",
     "joined_rows",
+    "refuse_no_model",
     "source_of",
     "span_of",
     "turned_source",

@@ -42,6 +42,16 @@ class InMemory(Source):
         return self._splats
 
 
+def refuse_no_model(model: object) -> None:
+    """Refuse an argument that is neither `Splats` nor a source.
+
+    Raises:
+        ModelError: It is neither.
+    """
+    if not isinstance(model, Source):
+        refuse_other(model)
+
+
 def source_of(model: Splats | Source) -> Source:
     """Return a model in memory as a source; a source is returned unchanged."""
     return InMemory(model) if isinstance(model, Splats) else model

@@ -17,8 +17,8 @@ from nanogs._types import F64, I64
 from nanogs.errors import OptionError
 from nanogs.ranges import is_number
 from nanogs.raster.camera import Camera
-from nanogs.source import Source
-from nanogs.splats import Splats, refuse_other
+from nanogs.source import Source, refuse_no_model
+from nanogs.splats import Splats
 from nanogs.views import inside, orbit
 from nanogs.views.heading import seen_from, without_surroundings
 from nanogs.views.occupancy import Core, SplatSample, find_core, sample
@@ -163,8 +163,7 @@ def survey(
     """
     if kind not in ("auto", "orbit", "inside"):
         raise OptionError(f"The kind of views must be auto, orbit or inside, not {kind!r}.")
-    if not isinstance(model, Source):
-        refuse_other(model)
+    refuse_no_model(model)
     given = None if up is None else unit_up(up)
     sampled = sample(model)
     if given is not None:
