@@ -233,13 +233,15 @@ def short_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _short(path: Path, alike: set[Path]) -> str:
-    """Return the shortest name of a path that is not the end of another path."""
+    """Return the shortest name of a path that is not the end of another path with its last part."""
     parts = path.as_posix().split("/")
     others = [other.as_posix().split("/") for other in alike - {path}]
-    for count in range(1, len(parts)):
+    if not others:
+        return path.name
+    for count in range(2, len(parts)):
         if all(other[-count:] != parts[-count:] for other in others):
-            return path.name if count == 1 else "/".join(parts[-count:])
-    return path.as_posix() if others else path.name
+            return "/".join(parts[-count:])
+    return path.as_posix()
 
 
 def redacted(url: str) -> str:

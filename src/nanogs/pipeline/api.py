@@ -127,7 +127,7 @@ def simplify(
             which would be lost.
     """
     start, clock = time.perf_counter(), StageClock()
-    parameters(preset, overrides)  # first, so that a misspelt target is named
+    chosen = parameters(preset, overrides)  # first, so that a misspelt target is named
     size = None if size is None else as_bytes(size)
     goal = Goal(ratio, count, size, psnr, draw_cost)
     path, given = registry.file_of(format), given_options(format_options)
@@ -135,7 +135,7 @@ def simplify(
     registry.keywords(known, given)  # refuses options that the format does not have
     if chooses_packing(goal, known):
         overrides = with_longer_fit(preset, overrides)
-    chosen = parameters(preset, overrides)
+        chosen = parameters(preset, overrides)
     refuse_searches(goal, preset, path)
     refuse_reduced(goal, chosen, sh_degree)
     refuse_device(device, preset, chosen, goal)

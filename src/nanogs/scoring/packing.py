@@ -6,7 +6,7 @@ from typing import Any
 
 from nanogs.errors import OptionError
 from nanogs.io import registry, save
-from nanogs.io.format import FormatOptions, given_options
+from nanogs.io.format import Format, FormatOptions, given_options
 from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import convert_bytes
@@ -84,7 +84,7 @@ def is_packed(source: Splats | Source) -> bool:
     """Return whether a model comes from a file whose values are quantised."""
     if not isinstance(source, FileSource):
         return False
-    known = registry.find(Path(f"model.{_packed_as(source)}"))
+    known = _format_of(source)
     return source.packed or (known is not None and known.rounds)
 
 
@@ -92,13 +92,18 @@ def notes_on(source: Splats | Source) -> tuple[str, ...]:
     """Return a note on a model whose file is quantised already; () for others."""
     if not isinstance(source, FileSource) or not is_packed(source):
         return ()
-    name = _packed_as(source)
-    known = registry.find(Path(f"model.{name}"))
+    known = _format_of(source)
+    name = known.suffix if known else _packed_as(source)
     note = (
-        f"the file is itself packed, as {known.suffix if known else name}; unpacked means the model"
+        f"the file is itself packed, as {name}; unpacked means the model"
         " as read from it, so no number includes what that packing cost."
     )
     return (note,)
+
+
+def _format_of(source: FileSource) -> Format | None:
+    """Return the format of a model's file, or one with the same encoding; None if none is known."""
+    return registry.find(Path(f"model.{_packed_as(source)}"))
 
 
 def _packed_as(source: FileSource) -> str:
