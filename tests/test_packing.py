@@ -380,7 +380,7 @@ def test_results_that_are_only_compared_take_few_steps_and_no_correction(preset,
 
 
 def test_options_set_by_the_user_are_not_chosen(splats):
-    given_options = {"palette": 50, "bits": 6}
+    given_options = {"palette": 50, "bits": 6, "sh_bits": 5}
     small, report = nanogs.simplify(
         splats, size=30_000, format=".sog", sh_degree=1, format_options=given_options, **FEW
     )

@@ -452,6 +452,26 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
         assert (tmp_path / "a.sog").stat().st_size < 0.93 * more
 
 
+def test_sh_bits_set_the_precision_of_the_palette(tmp_path):
+    model, whole = random_model(4000, 2), {"palette": 65_536}
+    errors, sizes = [], []
+    for bits in range(2, 9):
+        loaded = in_order_of(model, saved(tmp_path, model, sh_bits=bits, **whole))
+        assert 2 ** (bits - 1) < len(np.unique(loaded.sh[:, 1:])) <= 2**bits
+        errors.append(float(np.mean((loaded.sh[:, 1:] - model.sh[:, 1:]) ** 2)))
+        sizes.append((tmp_path / "a.sog").stat().st_size)
+    assert all(6 > before / after > 2.5 for before, after in itertools.pairwise(errors))
+    assert sizes == sorted(sizes)
+
+    def size(**options):
+        return io.encoded_bytes(model, tmp_path / "a.sog", options)
+
+    assert size(**whole) == sizes[6 - 2]
+    assert size(palette=1000) == size(palette=1000, sh_bits=5) < size(palette=1000, sh_bits=6)
+    with pytest.raises(OptionError, match="`sh_bits` must be a whole number from 2 to 8"):
+        io.save(model, tmp_path / "a.sog", overwrite=True, format_options={"sh_bits": 9})
+
+
 @pytest.mark.parametrize("bits", [3, 9])
 def test_bits_beyond_the_format_are_refused(tmp_path, bits):
     with pytest.raises(OptionError, match="`bits` must be a whole number from 4 to 8"):

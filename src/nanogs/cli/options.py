@@ -212,9 +212,9 @@ Bits = Annotated[
 ShBits = Annotated[
     int | None,
     typer.Option(
-        help="Bits of a spherical harmonic of degree 1 in a .spz file, 2 to 8; higher degrees have"
-        " one bit less.",
-        show_default="5",
+        help="Bits of a spherical harmonic above degree 0 in a .sog or .spz file, 2 to 8; in .spz"
+        " those above degree 1 have one bit less.",
+        show_default=".sog: 5, or 6 without merged harmonics; .spz: 5",
         metavar="BITS",
     ),
 ]

@@ -163,14 +163,14 @@ def save(
             object without a name.
         format_options: Options of the format, by name. For .spz: `spz_version`, 2, 3 or 4 (by
             default 3; 2 with fewer `bits`; 4 if the file states a frame or other extension
-            records); `sh_bits`, the bits of a colour coefficient of degree 1, 2 to 8 (by default
-            5), of higher degrees one less; and `frame`, the name of the coordinate frame of the
-            model, such as "rub", which the file then states. For .sog and .spz: `palette`, number
-            of entries for the higher colour coefficients, in .sog 1 to 65,536, by default two for
-            three splats, and in .spz 1 to 1,048,576, by default one for each splat; `bits`, the
-            precision of all values, 4 (coarse) to 8 (by default 7, in .spz 8); and `spare_bits`, 0
-            to 6, the number of bits dropped from centres (by default the smaller the splats, the
-            fewer).
+            records); and `frame`, the name of the coordinate frame of the model, such as "rub",
+            which the file then states. For .sog and .spz: `palette`, number of entries for the
+            higher colour coefficients, in .sog 1 to 65,536, by default two for three splats, and in
+            .spz 1 to 1,048,576, by default one for each splat; `sh_bits`, the bits of these
+            coefficients, 2 to 8, in .spz one less above degree 1 (by default 5; 6 in a .sog whose
+            palette is not of merged coefficients); `bits`, the precision of all other values, 4
+            (coarse) to 8 (by default 7, in .spz 8); and `spare_bits`, 0 to 6, the number of bits
+            dropped from centres (by default the smaller the splats, the fewer).
         progress: Called with each `nanogs.progress.Step`, if the format takes long to write.
 
     Raises:

@@ -12,6 +12,8 @@ from nanogs.source import Source
 _FIRST_BITS = 6  # start of a search for the best `bits`: mostly at most one off
 _OPTIONS = {
     "palette": WriteOption("palette_size", range(1, PALETTE_MAX + 1), of_harmonics=True),
+    # A search goes on to fewer where files are small, for more splats or a larger palette.
+    "sh_bits": WriteOption("sh_bits", range(2, 9), write.MERGED_BITS, of_harmonics=True),
     "bits": WriteOption(
         "bits",
         range(FEWEST_BITS, MOST_BITS + 1),

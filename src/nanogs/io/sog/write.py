@@ -44,8 +44,8 @@ MAX_DEGREE = 3
 USUAL_BITS = 7  # default; files then look no worse than those of PlayCanvas' own tool
 _BLOCK = 4  # width and height of textures are multiples of it
 _MODELS = {mode: name for name, mode in sog_meta.MODELS.items()}
-# Entries of the codebook for an exact palette, and for one of merged values, which needs fewer.
-_EXACT, _ROUNDED = 64, 32
+# Bits of a code of the harmonics: of an exact palette, and of merged values, which need fewer.
+_EXACT_BITS, MERGED_BITS = 6, 5
 # By default a palette has two entries for three splats, and one each in small models. Files then
 # look better than those of PlayCanvas' own tool. With a smaller palette, a file of the same size
 # can hold more splats, which often looks better still.
@@ -69,10 +69,13 @@ class Packing:
         palette_size: Largest number of entries of the palette of the higher coefficients, 1 to
             65,536; by default `USUAL_PALETTE`.
         precision: Precision of all other values.
+        sh_bits: Bits of the codes of these coefficients, 2 to 8; by default 5, or 6 if the palette
+            holds the very coefficients of the splats and not means of several.
     """
 
     palette_size: int | None = None
     precision: Precision = _USUAL_PRECISION
+    sh_bits: int | None = None
 
 
 USUAL = Packing()
@@ -85,6 +88,7 @@ def write(
     *,
     palette_size: int | None = None,
     bits: int = USUAL_BITS,
+    sh_bits: int | None = None,
     spare: int | None = None,
 ) -> None:
     """Write a `.sog` file.
@@ -96,6 +100,7 @@ def write(
         palette_size: Largest number of entries of the palette of the higher coefficients, 1 to
             65,536; by default `USUAL_PALETTE`.
         bits: Bits of a component of a rotation, 4 to 8; all else follows, see `Precision`.
+        sh_bits: Bits of the codes of the higher coefficients, 2 to 8; see `Packing`.
         spare: Bits that are dropped from centres, 0 to 6; by default the smaller the splats, the
             fewer.
 
@@ -103,7 +108,8 @@ def write(
         OutputError: A value is NaN, infinite or too large for a codebook, or there are too many
             splats for a texture; nothing has been written then.
     """
-    files = contents(splats, on_progress, Packing(palette_size, Precision(bits, spare)))
+    packing = Packing(palette_size, Precision(bits, spare), sh_bits)
+    files = contents(splats, on_progress, packing)
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in files.items():
             bundle.writestr(plain_entry(name), data)
@@ -117,6 +123,7 @@ def write_folder(
     overwrite: bool = False,
     palette_size: int | None = None,
     bits: int = USUAL_BITS,
+    sh_bits: int | None = None,
     spare: int | None = None,
 ) -> None:
     """Write `meta.json` and its textures to a folder, which appears whole or not at all.
@@ -128,13 +135,14 @@ def write_folder(
         overwrite: Replace a folder that nanogs wrote.
         palette_size: As for `write`.
         bits: As for `write`.
+        sh_bits: As for `write`.
         spare: As for `write`.
 
     Raises:
         OutputError: As for `write`, or the folder exists and may not be replaced, or it cannot be
             made.
     """
-    packing = Packing(palette_size, Precision(bits, spare))
+    packing = Packing(palette_size, Precision(bits, spare), sh_bits)
     with atomic_folder(path, ours, overwrite=overwrite) as folder:
         for name, data in contents(splats, on_progress, packing).items():
             (folder / name).write_bytes(data)
@@ -441,7 +449,8 @@ def _higher(
     # A full palette may be one of merged harmonics, which came from rounded values.
     own = entries < size or entries == len(splats)
     kept = found.exact and (own or _few_values(found.entries))
-    book = codebook(found.entries, _EXACT if kept else _ROUNDED)
+    sh_bits = packing.sh_bits or (_EXACT_BITS if kept else MERGED_BITS)
+    book = codebook(found.entries, 1 << sh_bits)
     codes = nearest(found.entries, book)
     distinct = palette(codes.astype(np.float32), len(codes))  # each is written once
     count = len(distinct.entries)
