@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from itertools import pairwise
 
 import pytest
 
@@ -159,6 +161,15 @@ def test_without_a_command_the_help_is_printed():
     assert "simplify" in result.stdout + result.stderr
     assert "error" not in result.stdout + result.stderr
     assert (run("--help").returncode, run("--version").returncode) == (0, 0)
+
+
+@pytest.mark.parametrize("command", ["lod", "studio", "info"])
+def test_paragraphs_of_help_fill_the_lines_of_the_terminal(command):
+    """Line breaks of the docstring, which is wider than a terminal, do not show."""
+    text = run(command, "--help", COLUMNS="80").stdout.split("╭")[0]
+    for paragraph in re.split(r"\n\s*\n", text.strip()):
+        for line, after in pairwise(paragraph.splitlines()):
+            assert len(f"{line.rstrip()} {after.split()[0]}") > 79, line
 
 
 def test_tables_in_pipes_have_no_trailing_blanks(tmp_path):

@@ -30,8 +30,10 @@ class Command(TyperCommand):
         return [*(param.metavar or param.name.upper() for param in arguments), "[OPTIONS]"]
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - click's own
-        """Write the help."""
+        """Write the help; its paragraphs fill the lines of the terminal, not of the docstring."""
         _name_values(self, ctx)
+        paragraphs = (self.help or "").split("\n\n")
+        self.help = "\n\n".join(" ".join(each.split()) for each in paragraphs)
         super().format_help(ctx, formatter)
 
 
