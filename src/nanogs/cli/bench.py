@@ -50,8 +50,9 @@ def bench(
     model_pattern: Annotated[
         str | None,
         typer.Option(
-            help="Path of the trained model of each scene of a data set.",
-            show_default="{folder}/{scene}/point_cloud/iteration_30000/point_cloud.ply",
+            help="Path of the trained model of each scene of a data set, in which {folder} and"
+            " {scene} are replaced.",
+            show_default="where the reference trainer writes it after 30,000 iterations",
         ),
     ] = None,
     ratios: Annotated[
@@ -84,7 +85,7 @@ def bench(
         typer.Option(
             help="Methods, separated by commas; parameters of a preset are added as in"
             " paper:tau=0:k=8.",
-            show_default="all presets and baselines; with --sizes-of-files the searching presets",
+            show_default="all presets and baselines; with --sizes-of-files fast, default and best",
         ),
     ] = None,
     external: Annotated[
