@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import types
+import typing
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,7 @@ from nanogs.bench.scenes import (
 )
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.worker import Job, Outcome, peak_memory, run_job
+from nanogs.cli.bench import bench
 from nanogs.errors import OptionError, OutputError
 from nanogs.io import load
 from nanogs.io.atomic import atomic_write
@@ -153,6 +155,16 @@ def test_every_ablation_is_a_method():
     assert set(PRESETS) <= set(ABLATIONS)
     for name in ABLATIONS:
         assert callable(find_method(name))
+
+
+def test_the_help_of_ablations_names_the_presets_that_are_taken_apart():
+    hints = typing.get_type_hints(bench, include_extras=True)
+    text = hints["ablations"].__metadata__[0].help
+    taken_apart = {
+        preset for preset, _, change in (name.partition(":") for name in ABLATIONS) if change
+    }
+    assert taken_apart == {"paper", "default", "fast"}
+    assert [preset for preset in taken_apart if preset not in text] == []
 
 
 def test_the_published_method_takes_the_seed_unless_its_name_states_one():

@@ -100,7 +100,7 @@ def bench(
     ablations: Annotated[
         bool,
         typer.Option(
-            "--ablations", help="Also measure the published method without each of its parts."
+            "--ablations", help="Also measure paper, default and fast without each of their parts."
         ),
     ] = False,
     metrics: Annotated[
