@@ -38,7 +38,7 @@ SUMMARIES: Mapping[str, str] = {
         "merge forest; the best-looking of several cuts, then a short optimisation against renders"
     ),
     "fast": "merge forest and one cut; renders nothing",
-    "best": "as default, with a long fit on a new view for every step; takes 4 to 5 times as long",
+    "best": "as default, with a long fit on a new view for every step; takes about 4 times as long",
     "paper": "NanoGS as published",
 }
 DEFAULT_PRESET = "default"
