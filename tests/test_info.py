@@ -16,6 +16,7 @@ from builders import random_splats
 from conftest import scene_path
 from launch import run
 from nanogs import io, percentiles
+from nanogs.errors import OptionError
 from nanogs.findings import Finding, join_findings
 from nanogs.io import registry
 from nanogs.io.formats import FAMILIES
@@ -54,6 +55,21 @@ def test_the_blocks_of_a_source_make_up_the_model(tmp_path, small_blocks, model)
         assert parts.tobytes() == column.tobytes(), name
     assert {block.render_mode for block in blocks} == {model.render_mode}
     assert {len(block.elements) for block in blocks} == {len(model.elements)}
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "problem"),
+    [
+        ("a.spz", {"pallete": 3}, "no option 'pallete' \\(did you mean 'palette'"),
+        ("a.spz", {"bits": 9}, "`bits` must be"),
+        ("a.ply", {"bits": 6}, "`bits` is for"),
+    ],
+)
+def test_losses_refuse_the_options_that_save_refuses(tmp_path, name, options, problem):
+    model = random_splats(3, degree=0)
+    for call in (io.losses, io.save):
+        with pytest.raises(OptionError, match=problem):
+            call(model, tmp_path / name, format_options=options)
 
 
 @SHARED

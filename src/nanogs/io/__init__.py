@@ -306,6 +306,7 @@ def losses(
     """
     refuse_no_model(splats)
     known = registry.writable(place(path))
+    registry.keywords(known, format_options)  # refuses what are no options of the format
     if not len(splats):
         return (f"The model has no splats, {known.suffix} refuses it.",)
     if known.losses is nothing_lost:
