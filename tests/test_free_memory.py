@@ -485,7 +485,7 @@ def test_running_out_of_memory_while_writing_leaves_no_files(scene, tmp_path, mo
         raise MemoryError
 
     monkeypatch.setattr(nanogs.io.ply.write, "write", run_out)
-    monkeypatch.setattr("nanogs.conversion.save", run_out)
+    monkeypatch.setattr("nanogs.conversion.write_model", run_out)
     assert command("convert", scene, tmp_path / "a.ply") == 2
     assert "error: Memory ran out; free some" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

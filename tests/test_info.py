@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import json
 import re
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,19 @@ def test_the_blocks_of_a_source_make_up_the_model(tmp_path, small_blocks, model)
         assert parts.tobytes() == column.tobytes(), name
     assert {block.render_mode for block in blocks} == {model.render_mode}
     assert {len(block.elements) for block in blocks} == {len(model.elements)}
+
+
+def test_save_returns_what_the_file_leaves_out(tmp_path):
+    """Also for a source whose own file is replaced, and for an open file."""
+    model = random_splats(9, degree=1, extras={"label": np.arange(9, dtype=np.int32)})
+    lost = io.losses(model, "a.spz")
+    assert any("label" in sentence for sentence in lost)
+    assert io.save(model, tmp_path / "a.ply") == ()
+    assert io.save(model, tmp_path / "a.spz") == lost
+    assert io.save(model, BytesIO(), format=".spz") == lost
+    with io.open(tmp_path / "a.ply") as source:
+        assert io.save(source, tmp_path / "a.ply", format=".spz", overwrite=True) == lost
+    assert io.load(tmp_path / "a.ply", format=".spz").extras == {}
 
 
 @pytest.mark.parametrize(

@@ -442,7 +442,10 @@ def test_library_functions_take_urls(folder, host, temporary, memory, tmp_path):
     with pytest.raises(OutputError, match="exists already; pass overwrite=True"):
         nanogs.save(splats, "memory://x/small.ply")
     nanogs.save(splats, "memory://x/small.ply", overwrite=True)
+    nanogs.io.check_writable("memory://x/small", format=".spz")
     nanogs.save(splats, "memory://x/small", format=".spz")
+    with pytest.raises(OutputError, match="exists already"):
+        nanogs.io.check_writable("memory://x/small", format=".spz")
     assert len(nanogs.load("memory://x/small", format="spz")) == 30
     nanogs.save(splats, f"file://{tmp_path}/a%20b.ply")
     assert len(nanogs.load(tmp_path / "a b.ply")) == 30

@@ -13,7 +13,7 @@ from nanogs.clock import StageClock
 from nanogs.filters import Filter, FilterReport, apply, checked_filters
 from nanogs.findings import join_findings
 from nanogs.frames import checked_frames
-from nanogs.io import bytes_on_disk, check_writable, inspect, registry, save
+from nanogs.io import bytes_on_disk, check_writable, inspect, registry, write_model
 from nanogs.io import open as open_model
 from nanogs.io.frames import keep_stated_frame, refuse_frame_read, refuse_frame_written
 from nanogs.io.parts import FileSource, level_note
@@ -146,7 +146,7 @@ def convert(
             count, columns, read_bytes = model.count, model.columns, file.info.file_bytes
         tracker.begin("write")
         with clock.time("write"):
-            save(model, path, progress=tracker.passing(), **saving)
+            write_model(model, path, progress=tracker.passing(), **saving)
         tracker.finish()
         made = _written(path, count, columns) | {"output_bytes": bytes_on_disk(path)}
     return ConvertReport(

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 from nanogs.block_layouts import BlockChunks, BlockTree, Chunked, Linked
 from nanogs.costs import DrawCost
 from nanogs.errors import OptionError, shown_as
-from nanogs.io import check_writable, losses, registry, save
+from nanogs.io import check_writable, losses, registry, write_model
 from nanogs.io.atomic import atomic_write, move_into_place, writing
 from nanogs.io.format import FormatOptions
 from nanogs.io.temporary import temporary
@@ -327,7 +327,7 @@ class _File(OpenSink):
 
     def add(self, model: Splats | Source, on_progress: PartProgress = ignore_progress) -> None:
         on_progress(0, 1)
-        save(model, self._making, overwrite=True, format_options=self._options)
+        write_model(model, self._making, overwrite=True, format_options=self._options)
         size, left_out = self._making.stat().st_size, losses(model, self._making, self._asked)
         self.written.append(Written(len(model), (self._making.name,), size, left_out))
 

@@ -15,7 +15,7 @@ from nanogs.bench.settings import BenchSettings
 from nanogs.bench.worker import Job, run_job
 from nanogs.errors import NanogsError, OptionError
 from nanogs.formatting import counted
-from nanogs.io import inspect, load, losses, save
+from nanogs.io import inspect, load, save
 from nanogs.pipeline.options.target import target_count
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, prepare, render
@@ -76,11 +76,11 @@ def whole_row(
     """Score the whole model written in a format, which shows the loss of the format alone."""
     row, path = empty_row(scene, ORIGINAL, target), folder / f"whole{target.format}"
     try:
-        save(splats, path)
+        left_out = save(splats, path)
         decoded = load(path, render_mode=settings.render_mode)
     except NanogsError as error:
         return replace(row, status=Status.FAILED, reason=str(error))
-    notes = (*losses(splats, path), *decoded.notes)
+    notes = (*left_out, *decoded.notes)
     row = replace(row, file_bytes=path.stat().st_size, notes=notes)
     path.unlink()
     return _scored(row, decoded, views, settings)

@@ -15,7 +15,7 @@ from nanogs.bench.baselines import Method, MethodContext
 from nanogs.bench.methods import find_method, preset_arguments
 from nanogs.cleanup import cleaned_up, starting_processes
 from nanogs.errors import NanogsError
-from nanogs.io import encoded_bytes, load, save
+from nanogs.io import encoded_bytes, load, write_model
 from nanogs.kernels.compiling import watching
 from nanogs.pipeline.options.target import target_count
 from nanogs.raster.camera import Camera
@@ -137,7 +137,7 @@ def do_job(job: Job) -> Outcome:
         small = method(splats, asked, context)
         seconds = time.perf_counter() - start
     peak = peak_memory()
-    save(small, job.output, overwrite=True)
+    write_model(small, job.output, overwrite=True)
     return Outcome("", len(small), asked, seconds, read_seconds, peak)
 
 

@@ -27,7 +27,7 @@ def demo(
     """Write a real scene to try things on: a potted plant of 113,648 splats."""
     from nanogs.cli.console import say, warn
     from nanogs.errors import OptionError
-    from nanogs.io import check_writable, losses, save
+    from nanogs.io import check_writable, save
 
     if seed and count is None:
         raise OptionError(
@@ -42,8 +42,8 @@ def demo(
         from nanogs.datasets.synthetic import make_scene
 
         scene, about = make_scene(count, seed=seed), "made up"
-    save(scene, target, overwrite=overwrite)
+    left_out = save(scene, target, overwrite=overwrite)
     if not quiet:
-        for note in losses(scene, target):
+        for note in left_out:
             warn(note)
         say(f"{target}: {counted(len(scene), 'splat')}, {about}")

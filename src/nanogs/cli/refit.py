@@ -1,6 +1,7 @@
 """`nanogs refit`."""
 
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -110,8 +111,8 @@ def _refit_files(
     from nanogs.cli.progress import shown
     from nanogs.clock import StageClock
     from nanogs.fit.api import refit as library_refit
-    from nanogs.io import losses, registry, save
     from nanogs.io import open as open_model
+    from nanogs.io import registry, save
     from nanogs.pipeline.options.cameras import fit_cameras
     from nanogs.progress import Tracker
     from nanogs.threads import use_threads
@@ -120,8 +121,9 @@ def _refit_files(
     with shown(quiet=run.hushed) as watch, use_threads(run.threads):
         progress = Tracker(watch, _stages(original, small, target, parameters))
         progress.begin("read")
-        with clock.time("read"):
-            files = [open_model(path, render_mode=mode) for path in (original, small)]
+        with clock.time("read"), ExitStack() as stack:
+            opened = (open_model(path, render_mode=mode) for path in (original, small))
+            files = [stack.enter_context(file) for file in opened]
             reference, model = (file.load() for file in files)
             remarks = [f"{file.name}: {remark}" for file in files for remark in file.remarks]
         count = parameters.views + parameters.held
@@ -138,10 +140,10 @@ def _refit_files(
         )
         progress.begin("write")
         with clock.time("write"):
-            save(fitted, target, overwrite=run.overwrite, progress=progress.passing())
+            left_out = save(fitted, target, overwrite=run.overwrite, progress=progress.passing())
     return replace(
         report,
-        notes=(*remarks, *report.notes, *losses(fitted, target)),
+        notes=(*remarks, *report.notes, *left_out),
         seconds={"read": clock.seconds["read"]} | report.seconds | clock.seconds,
         total_seconds=time.perf_counter() - start,
     )

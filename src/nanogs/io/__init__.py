@@ -10,7 +10,7 @@ from nanogs.cleanup import temporary_folder
 from nanogs.errors import OptionError
 from nanogs.findings import join_findings
 from nanogs.io import atomic, registry
-from nanogs.io.file_objects import as_named, read_file, write_file
+from nanogs.io.file_objects import as_named, read_file, stream_name, write_file
 from nanogs.io.folder import check_folder_writable
 from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
@@ -38,6 +38,7 @@ __all__ = [
     "round_trip",
     "round_trip_with_size",
     "save",
+    "write_model",
 ]
 
 
@@ -143,8 +144,8 @@ def save(
     format: str | None = None,  # noqa: A002 - the usual name of this
     format_options: FormatOptions | None = None,
     progress: Progress | None = None,
-) -> None:
-    """Write a model to a file, which appears whole or not at all.
+) -> tuple[str, ...]:
+    """Write a model to a file, which appears whole or not at all; return what it leaves out.
 
     Of a source, such as `open` returns, formats that store splats row by row or column by column
     are written with only some rows in memory: .ply, .splat, .npz, .spz, .rad, .glb and .gltf;
@@ -173,12 +174,41 @@ def save(
             dropped from centres (by default the smaller the splats, the fewer).
         progress: Called with each `nanogs.progress.Step`, if the format takes long to write.
 
+    Returns:
+        A sentence for each thing that the file leaves out or clamps, such as extra columns, as
+        `nanogs.io.losses` gives them; () if it holds all of the model. Quantisation is not named. A
+        source is read once more for this, unless the format loses nothing of any model.
+
     Raises:
         ModelError: It is no model, or the format cannot hold it at all.
         OptionError: nanogs does not write the format of this suffix, or the format has no such
             option.
         OutputError: The file or folder exists and `overwrite` is off, or it cannot be written.
     """
+    refuse_no_model(splats)
+    if isinstance(path, str | PathLike):
+        check_writable(path, overwrite=overwrite, format=format, format_options=format_options)
+        named = as_named(place(path), format)
+    else:
+        named = stream_name(path, format)
+    left_out = losses(splats, named, format_options)  # now: a source's file may be replaced
+    write_model(
+        splats, path, overwrite=overwrite, format=format, format_options=format_options,
+        progress=progress,
+    )  # fmt: skip
+    return left_out
+
+
+def write_model(
+    splats: Splats | Source,
+    path: str | PathLike[str] | BinaryIO,
+    *,
+    overwrite: bool = False,
+    format: str | None = None,  # noqa: A002 - the name in `save`
+    format_options: FormatOptions | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Write a model as `save` does, for callers that need no losses or find them themselves."""
     refuse_no_model(splats)
     overwrite = as_switch("`overwrite`", overwrite)
     if not isinstance(path, str | PathLike):
@@ -192,7 +222,7 @@ def save(
     if isinstance(path, Address):
         options: dict[str, Any] = {"format_options": format_options, "progress": progress}
         with local_copies([], path, overwrite=overwrite, format=format) as (_, file):
-            save(splats, file or path, format=format, **options)
+            write_model(splats, file or path, format=format, **options)
         return
     tracker = Tracker(progress, [Stage("write", 1.0)])
     given = known.reporting(tracker.part)
@@ -269,7 +299,7 @@ def round_trip_with_size(
         if not known.write_folder:
             file = file.with_name(f"model{known.suffix}")
             file.parent.mkdir()
-        save(splats, file, format_options=format_options, progress=progress)
+        write_model(splats, file, format_options=format_options, progress=progress)
         size = bytes_on_disk(file)
         return load(file), size
 
@@ -373,7 +403,7 @@ def check_writable(
     registry.keywords(known, format_options)
     known.check()
     if isinstance(path, Address):
-        check_sendable(path, overwrite=overwrite)
+        check_sendable(path, overwrite=overwrite, format=format)
     elif known.ours:
         check_folder_writable(_folder_of(path, known), known.ours, overwrite=overwrite)
     else:

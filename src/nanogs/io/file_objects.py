@@ -88,6 +88,29 @@ def read_file(
             return retagged(registry.reader(named).open(named), render_mode).load()
 
 
+def stream_name(
+    file: BinaryIO,
+    format: str | None,  # noqa: A002 - the name in `save`
+) -> Path:
+    """Return a path whose suffix says the format in which a model is written to a file object.
+
+    Args:
+        file: Opened for writing bytes.
+        format: Suffix of the format; by default taken from the file's name.
+
+    Raises:
+        OptionError: It is no file object, is closed, is opened for text, or its format is unknown.
+    """
+    _check_open(file, "write")
+    suffix = _suffix(file, format)
+    if suffix is None:
+        raise OptionError(
+            "An open file has no format by itself; name it, as in nanogs.save(splats, file,"
+            ' format=".ply").'
+        )
+    return Path(f"stream{suffix}")
+
+
 def write_file(
     splats: Splats | Source,
     file: BinaryIO,
@@ -108,14 +131,7 @@ def write_file(
         NanogsError: As for `save`; or it is no file object, is closed, is not opened for writing
             bytes, or its format is unknown.
     """
-    _check_open(file, "write")
-    suffix = _suffix(file, format)
-    if suffix is None:
-        raise OptionError(
-            "An open file has no format by itself; name it, as in nanogs.save(splats, file,"
-            ' format=".ply").'
-        )
-    named = Path(f"stream{suffix}")
+    named = stream_name(file, format)
     write, given = registry.writer(named, options), registry.writable(named).reporting(on_progress)
     with into_temporary(), SpooledTemporaryFile(_IN_MEMORY) as made:
         write(splats, cast("BinaryIO", made), **given)

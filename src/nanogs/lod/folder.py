@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs.block_layouts import BlockChunks
 from nanogs.errors import FormatError
 from nanogs.findings import join_findings
-from nanogs.io import losses, registry, save
+from nanogs.io import registry, save
 from nanogs.io.folder import atomic_folder, check_folder_writable, move_folder
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import as_splats
@@ -133,10 +133,10 @@ class _Files(LevelsFilling):
     def add(self, model: Splats | Source, on_progress: PartProgress = ignore_progress) -> None:
         on_progress(0, 1)
         path = self._folder / level_name(len(self.written), self._suffix)
-        save(model, path, format_options=self._format_options)
+        left_out = save(model, path, format_options=self._format_options)
         with path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        size, left_out = path.stat().st_size, losses(model, path, self._format_options)
+        size = path.stat().st_size
         self.written.append(Written(len(model), (path.name,), size, left_out, digest))
 
     def finish(self, reports: Sequence[SimplifyReport], judge: Judge | None = None) -> Manifest:

@@ -12,7 +12,7 @@ from nanogs.card.device import CPU, device_notes
 from nanogs.clock import StageClock
 from nanogs.defaults import PATIENCE
 from nanogs.frames import checked_frames
-from nanogs.io import bytes_on_disk, check_writable, losses, registry, save
+from nanogs.io import bytes_on_disk, check_writable, losses, registry, write_model
 from nanogs.io import open as open_model
 from nanogs.io.frames import (
     keep_stated_frame,
@@ -315,7 +315,7 @@ def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -
     options = {**(options or {}), **report.format_options}
     tracker.begin("write")
     with clock.time("write"):
-        save(
+        write_model(
             small, output, overwrite=request.overwrite, format_options=options,
             progress=tracker.passing(),
         )  # fmt: skip

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs.errors import OptionError
-from nanogs.io import registry, save
+from nanogs.io import registry, write_model
 from nanogs.io.format import Format, FormatOptions, given_options
 from nanogs.io.parts import FileSource
 from nanogs.memory import allowed_memory, refuse_too_large
@@ -161,5 +161,5 @@ def write_packed(
     """
     is_folder = registry.writable(Path(suffix)).write_folder is not None
     path = folder / "packed" / suffix if is_folder else folder / f"packed{suffix}"
-    save(model, path, format_options=options, progress=progress)
+    write_model(model, path, format_options=options, progress=progress)
     return path

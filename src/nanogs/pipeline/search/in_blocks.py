@@ -9,7 +9,7 @@ from typing import Any
 
 from nanogs.clock import StageClock
 from nanogs.frames import back, turned
-from nanogs.io import bytes_on_disk, derived_options, encoded_bytes, registry, save
+from nanogs.io import bytes_on_disk, derived_options, encoded_bytes, registry, write_model
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
 from nanogs.pipeline.job.result_writer import result_of
@@ -98,7 +98,7 @@ class Search:
         self.refuse_large(source, options)
         path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
         try:
-            save(source, path, overwrite=True, format_options=self.with_given(options))
+            write_model(source, path, overwrite=True, format_options=self.with_given(options))
             yield path
         finally:
             path.unlink(missing_ok=True)
