@@ -313,6 +313,7 @@ def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, t
         ("blocks", {"job": 3}, "`job` is a path, not int"),
         ("blocks", {"scratch": ["s"]}, "`scratch` is a path, not list"),
         ("blocks", {"scratch": b"s"}, "`scratch` is a path, not bytes"),
+        ("blocks", {"scratch": ""}, "`scratch` is empty; name a place"),
         ("levels", {"job": 3}, "`job` is a path, not int"),
         ("levels", {"suffix": None}, "named by its suffix, as '.sog', not None"),
         ("levels", {"source": b"a"}, "`source` is the name of the model, not b'a'"),

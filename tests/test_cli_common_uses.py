@@ -107,6 +107,12 @@ def test_empty_cameras_are_not_those_of_the_current_folder(folder, command):
         ("info a.ply --packed", "--packed names no format"),
         ("compare a.ply b.ply --packed", "--packed names no format"),
         ("bench a.ply --cameras", "--cameras is empty; name a kind of views"),
+        ("compare a.ply b.ply --metrics", "--metrics names no metric"),
+        ("compare a.ply b.ply --mixed --metrics", "--metrics names no metric"),
+        ("bench a.ply --metrics", "--metrics names no metric"),
+        ("bench --dataset deep-blending=. --model-pattern", "--model-pattern is empty; name"),
+        ("simplify a.ply out.ply -r 0.5 --preset fast --scratch", "--scratch is empty; name"),
+        ("lod a.ply levels --preset fast --scheduler", "--scheduler is empty; name"),
     ],
 )
 def test_an_empty_value_is_not_the_default(folder, command, message):

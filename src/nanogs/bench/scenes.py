@@ -99,7 +99,7 @@ def parse_dataset(text: str, model_pattern: str = TRAINED_MODEL) -> list[BenchSc
         model_pattern: Path of a scene's model; {folder} and {scene} are replaced.
 
     Raises:
-        OptionError: The text has another form, or no scene has a model.
+        OptionError: The text has another form, the pattern is empty, or no scene has a model.
     """
     name, _, folder = text.partition("=")
     if name not in DATASETS or not folder:
@@ -111,6 +111,8 @@ def parse_dataset(text: str, model_pattern: str = TRAINED_MODEL) -> list[BenchSc
         raise OptionError(
             f"{root} is not a folder; give the folder that holds the scenes' folders."
         )
+    if not model_pattern.strip():
+        raise OptionError("`model_pattern` is empty; name a path with {scene}, or leave it out.")
     scenes = []
     for entry in sorted(path for path in root.iterdir() if path.is_dir()):
         model = Path(fill(model_pattern, folder=folder, scene=entry.name))

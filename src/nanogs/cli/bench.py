@@ -104,8 +104,8 @@ def bench(
         ),
     ] = False,
     metrics: Annotated[
-        str, typer.Option(help="Further metrics, separated by commas: lpips, flip.")
-    ] = "",
+        str | None, typer.Option(help="Further metrics, separated by commas: lpips, flip.")
+    ] = None,
     views: options.ViewsOfKinds = None,
     sizes: options.Sizes = None,
     cameras: Annotated[
@@ -164,7 +164,7 @@ def bench(
         sizes=tuple(map(_square, options.parse_sizes(str(PIXELS) if sizes is None else sizes))),
         kinds=tuple(options.parse_list(kinds)),
         background=None if background is None else options.parse_background(background),
-        metrics=tuple(options.parse_list(metrics)),
+        metrics=tuple(options.parse_metrics(metrics)),
         seed=seed,
         threads=threads,
         render_mode=render_mode,
@@ -172,7 +172,9 @@ def bench(
     scenes = known.scenes_of_files(models or [])
     scenes += [known.parse_scene(text) for text in scene or []]
     for text in dataset or []:
-        scenes += known.parse_dataset(text, model_pattern or known.TRAINED_MODEL)
+        scenes += known.parse_dataset(
+            text, known.TRAINED_MODEL if model_pattern is None else model_pattern
+        )
     scenes = [replace(one, up=up) for one in scenes]
     _refuse_unused(scenes, dataset, model_pattern, views, background)
     _refuse_unused_views(scenes, {"--sizes": sizes, "--cameras": cameras, "--up": up})

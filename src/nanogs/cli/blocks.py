@@ -70,8 +70,11 @@ class Blocks:
         """Refuse combinations of options and paths that are invalid whatever the files hold.
 
         Raises:
-            OptionError: Options contradict each other or the paths.
+            OptionError: An option is empty, or options contradict each other or the paths.
         """
+        for option, given in {"--scratch": self.scratch, "--scheduler": self.scheduler}.items():
+            if given is not None and not given.strip():
+                raise OptionError(f"{option} is empty; name a place after it, or leave it out.")
         if self.workers is not None and self.scheduler is not None:
             raise OptionError("Give --workers or --scheduler, not both.")
         if (self.max_memory is not None or self.join) and DASH in paths:

@@ -82,8 +82,8 @@ def compare(
     up: options.Up = None,
     background: options.PhotoBackground = None,
     metrics: Annotated[
-        str, typer.Option(help="Further metrics: flip, lpips (each needs its extra).")
-    ] = "",
+        str | None, typer.Option(help="Further metrics: flip, lpips (each needs its extra).")
+    ] = None,
     render_mode: options.AsMode = None,
     packed: options.Packed = None,
     of_format: options.OfFormat,
@@ -117,7 +117,7 @@ def compare(
     formats = options.parse_packed(packed, of_format)
     pixels = options.parse_sizes(str(PIXELS) if sizes is None else sizes)
     color = None if background is None else options.parse_background(background)
-    extras = options.parse_list(metrics)
+    extras = options.parse_metrics(metrics)
     if interactive is not None and not report:
         option = "--interactive" if interactive else "--no-interactive"
         raise OptionError(f"{option} works only with --report; give both, or leave it out.")

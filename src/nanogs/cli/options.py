@@ -382,15 +382,28 @@ def parse_packed(text: str | None, of_format: dict[str, Any]) -> list[str]:
     Raises:
         OptionError: The option names no format, or options of a format are given without it.
     """
-    formats = parse_list(text or "")
-    if text is not None and not formats:
-        raise OptionError("--packed names no format; write it as in --packed .sog,.spz.")
     if text is None and of_format:
         option = next(iter(of_format)).replace("_", "-")
         raise OptionError(
             f"--{option} works only with --packed; name formats, as in --packed .sog."
         )
-    return formats
+    return _parse_names(text, "--packed", "format", ".sog,.spz")
+
+
+def parse_metrics(text: str | None) -> list[str]:
+    """Parse names of metrics separated by commas; [] for None: the option is not given.
+
+    Raises:
+        OptionError: The option names none.
+    """
+    return _parse_names(text, "--metrics", "metric", "flip,lpips")
+
+
+def _parse_names(text: str | None, option: str, what: str, example: str) -> list[str]:
+    names = parse_list(text or "")
+    if text is not None and not names:
+        raise OptionError(f"{option} names no {what}; write it as in {option} {example}.")
+    return names
 
 
 def parse_ratio(text: str) -> float:

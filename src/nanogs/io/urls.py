@@ -170,11 +170,13 @@ def path_text(name: str, given: object) -> str:
         given: Its value.
 
     Raises:
-        OptionError: It is no path.
+        OptionError: It is no path, or empty.
     """
     text = fspath(given) if isinstance(given, str | PathLike) else None
     if not isinstance(text, str):
         raise OptionError(f"`{name}` is a path, not {type(given).__name__}.")
+    if not text.strip():
+        raise OptionError(f"`{name}` is empty; name a place, or leave it out.")
     return text
 
 
