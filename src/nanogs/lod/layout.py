@@ -12,6 +12,7 @@ from pathlib import Path
 from nanogs._types import F64
 from nanogs.defaults import CHUNK, LEAST_CHUNK
 from nanogs.errors import OptionError
+from nanogs.formatting import listed
 from nanogs.io import registry
 from nanogs.io.rad.write import SUFFIX as TREE
 from nanogs.lod.chunks import ChunkLayout
@@ -98,7 +99,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
         described = path.name in (META, registry.LEVEL_LIST)  # of another format
         folder = path.parent if described else path.parent / path.stem
         raise OptionError(
-            f"{path}: levels are described by a file called {' or '.join(NAMES.values())}; name"
+            f"{path}: levels are described by a file called {listed(NAMES.values(), 'or')}; name"
             f" that, as in {folder / StreamedSog.name}, or a folder."
         )
     if known := registry.find(path):

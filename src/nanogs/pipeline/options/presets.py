@@ -45,8 +45,10 @@ DEFAULT_PRESET = "default"
 # Arguments of `simplify` and its relatives, which a name that is no parameter may be a typo of.
 _ARGUMENTS = (
     "ratio", "count", "size", "psnr", "draw_cost", "format", "format_options", "preset",
-    "sh_degree", "frame", "cameras", "nan", "device", "threads", "max_memory", "progress",
-    "overwrite", "filters", "layout", "suffix", "measured", "environment", "render_mode",
+    "sh_degree", "frame", "cameras", "up", "nan", "device", "threads", "max_memory", "progress",
+    "overwrite", "filters", "layout", "suffix", "measured", "environment", "environment_ratio",
+    "render_mode", "block", "job", "scratch", "resume", "executor", "patience", "chunk",
+    "chunk_min", "plain", "place", "source",
 )  # fmt: skip
 ROUND = 32  # steps in each round of the fit, about
 SEARCHED_STEPS = 84  # least steps of the fit of a result whose packing is searched for
