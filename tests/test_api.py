@@ -20,6 +20,7 @@ from launch import run
 from nanogs.clock import StageClock
 from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.pipeline.files import _around
+from nanogs.pipeline.options import presets
 from nanogs.raster.rendering import prepare
 from nanogs.scoring.scores import EXTRA_METRICS
 from nanogs.views.automatic import automatic_cameras
@@ -247,6 +248,17 @@ def test_a_misspelt_argument_is_named_with_the_one_that_was_meant(pair, files, t
         nanogs.grow(pair[0], ratio=0.5)
 
 
+def test_every_argument_can_be_meant():
+    calls = nanogs.simplify, nanogs.simplify_blocks, nanogs.grow, nanogs.levels, nanogs.write_levels
+    known = {
+        argument.name
+        for call in calls
+        for argument in inspect.signature(call).parameters.values()
+        if argument.kind is argument.KEYWORD_ONLY
+    }
+    assert sorted(presets._ARGUMENTS) == sorted(known)
+
+
 @pytest.mark.parametrize(
     ("goal", "message"),
     [
@@ -309,6 +321,7 @@ def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, t
         ("compare", {"cameras": 3}, "or at least one nanogs"),
         ("compare", {"metrics": None}, "no metric None"),
         ("compare", {"names": 3}, "Give one name for each model, 1 in all, not 3"),
+        ("compare", {"names": [3]}, r"Give one name for each model, 1 in all, not \[3\]"),
         ("convert", {"format_options": 3}, "options are a dictionary, as {'bits': 6}, not 3"),
         ("blocks", {"job": 3}, "`job` is a path, not int"),
         ("blocks", {"scratch": ["s"]}, "`scratch` is a path, not list"),

@@ -415,8 +415,9 @@ def test_only_streams_are_mixed(scene):
 
 
 def test_arguments_of_the_python_function_are_checked(scene, stream):
-    with pytest.raises(OptionError, match="2 in all"):
-        nanogs.compare_mixed(scene, stream, names=["a"])
+    for names in (["a"], 2, "ab", ["a", 2]):
+        with pytest.raises(OptionError, match="stream, 2 in all, not"):
+            nanogs.compare_mixed(scene, stream, names=names)
     with pytest.raises(OptionError, match="1 splat or more"):
         nanogs.compare_mixed(scene, stream, budget=0)
     with pytest.raises(NanogsError, match="download the stream"):

@@ -279,7 +279,11 @@ class SimplifyReport:
         return self.judged.psnr >= self.asked_psnr
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain dictionaries, lists, numbers and strings, for `json.dumps`."""
+        """Return plain dictionaries, lists, numbers and strings.
+
+        Infinite numbers stay, which JSON lacks: `nanogs.formatting.plain` makes them text, as
+        `--json` does.
+        """
         return asdict(self)
 
     def __str__(self) -> str:

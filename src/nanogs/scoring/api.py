@@ -130,9 +130,24 @@ def _names(original: Model, models: Sequence[Model], names: Sequence[str] | None
         raise OptionError("Give at least one model to compare with the original.")
     if names is None:
         return names_of([original, *models])
-    if isinstance(names, str) or not isinstance(names, Sequence) or len(names) != len(models):
-        raise OptionError(f"Give one name for each model, {len(models)} in all, not {names!r}.")
-    return [*names_of([original]), *names]
+    return [*names_of([original]), *checked_names(names, len(models), "for each model")]
+
+
+def checked_names(names: Sequence[str], count: int, whose: str) -> Sequence[str]:
+    """Return names that were given, if they are so many texts.
+
+    Args:
+        names: The names.
+        count: Their number.
+        whose: Words for the message, such as "for each model".
+
+    Raises:
+        OptionError: They are not.
+    """
+    several = isinstance(names, Sequence) and not isinstance(names, str)
+    if not several or len(names) != count or not all(isinstance(name, str) for name in names):
+        raise OptionError(f"Give one name {whose}, {count} in all, not {names!r}.")
+    return names
 
 
 def names_of(models: Sequence[Model]) -> list[str]:

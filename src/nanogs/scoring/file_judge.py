@@ -186,7 +186,7 @@ def file_judge(
     """
     known = registry.find(Path(f"model{suffix}"))
     if known is not None and not known.readable:
-        # A search for a draw cost has measured that of the model.
+        # The draw cost is not named: a search for one has measured it on the model itself.
         reason = f"PSNR and SSIM were not measured: nanogs does not read {known.suffix} files."
         return FileJudge(notes=(reason,))
     from nanogs.scoring.held_out import held_out

@@ -24,7 +24,7 @@ from nanogs.protocol import BLACK, PIXELS, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
 from nanogs.raster.lens import lens_notes
-from nanogs.scoring.api import names_of
+from nanogs.scoring.api import checked_names, names_of
 from nanogs.scoring.view_sets import ComparedViews, Pixels, compared_views
 from nanogs.views.cameras import Cameras
 
@@ -186,12 +186,7 @@ def _names(original: Model, paths: Sequence[Path], names: Sequence[str] | None) 
     """Return the names of the original and of the streams."""
     if names is None:
         return names_of([original, *paths])
-    if isinstance(names, str) or len(names) != 1 + len(paths):
-        raise OptionError(
-            f"Give one name for the original and for each stream, {1 + len(paths)} in all, not"
-            f" {names!r}."
-        )
-    return list(names)
+    return list(checked_names(names, 1 + len(paths), "for the original and for each stream"))
 
 
 def _checked(paths: Sequence[Path], budget: int | None) -> int | None:
