@@ -27,8 +27,8 @@ from nanogs.bench.baselines import MethodContext
 from nanogs.bench.gsplat import gsplat_fps
 from nanogs.bench.methods import ABLATIONS, find_method
 from nanogs.bench.output import ResultFolder, only_run_in, run_of
-from nanogs.bench.protocol import row_count, row_keys, run_bench
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status
+from nanogs.bench.run import row_count, row_keys, run_bench
 from nanogs.bench.scenes import (
     BenchScene,
     fill,
@@ -126,7 +126,8 @@ def test_unknown_placeholders_are_refused():
         ({"ratios": ()}, "at least one ratio"),
         ({"methods": ("nope",)}, "no method 'nope'"),
         ({"methods": ("paper:x=1",)}, "no parameter 'x'"),
-        ({"methods": ("paper:k=many",)}, "takes a number"),
+        ({"methods": ("paper:k=many",)}, "k takes a whole number"),
+        ({"methods": ("paper:tau=many",)}, "tau takes a number"),
         ({"methods": ("paper:graph=tree",)}, "knn or random"),
         ({"methods": ("random",), "externals": {"random": "a"}}, "The method .* occurs twice"),
         ({"externals": {ORIGINAL: "a"}}, "The method .* occurs twice"),
@@ -450,7 +451,7 @@ def test_finished_rows_are_not_measured_again(model, monkeypatch):
     scene = BenchScene("a", model)
     settings = BenchSettings(ratios=(0.5,), methods=("random",), views=1, sizes=(16,))
     known = [BenchRow("a", ORIGINAL, 1.0, splats=400), BenchRow("a", "random", 0.5, psnr=12.0)]
-    monkeypatch.setattr("nanogs.bench.protocol.load", None)  # nothing is read
+    monkeypatch.setattr("nanogs.bench.run.load", None)  # nothing is read
     assert run_bench([scene], settings, done=known) == known
     assert run_of([scene], settings) != run_of([scene], replace(settings, sizes=(32,)))
     assert run_of([scene], settings) == run_of([scene], replace(settings))

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nanogs import cleanup
-from nanogs.studio import workshop
+from nanogs.studio import supervisor
 from nanogs.studio.jobs import Job, Queue
 from nanogs.studio.process import Process
+from nanogs.studio.supervisor import WorkerSupervisor
 from nanogs.studio.worker import Inbox
-from nanogs.studio.workshop import WorkerSupervisor
 
 OPEN_FILES = Path("/proc/self/fd")
 KINDS = ("ask", "save", "curve")
@@ -214,8 +214,8 @@ def workers(monkeypatch):
         started.append(SlowToEnd(on_message))
         return started[-1]
 
-    monkeypatch.setattr(workshop, "Process", start)
-    monkeypatch.setattr(workshop, "PATIENCE", 0.01)
+    monkeypatch.setattr(supervisor, "Process", start)
+    monkeypatch.setattr(supervisor, "PATIENCE", 0.01)
     return started
 
 
@@ -250,7 +250,7 @@ def test_a_worker_that_is_being_ended_gets_no_other_job(workers):
 
 
 def test_cancelling_while_a_worker_is_being_ended_does_not_end_the_next(workers, monkeypatch):
-    monkeypatch.setattr(workshop, "PATIENCE_REPLACED", 0.02)
+    monkeypatch.setattr(supervisor, "PATIENCE_REPLACED", 0.02)
 
     async def session():
         supervisor = WorkerSupervisor(None, None, lambda page, event, models: None)
@@ -265,7 +265,7 @@ def test_cancelling_while_a_worker_is_being_ended_does_not_end_the_next(workers,
         await asyncio.sleep(0.2)
         workers[1].may_end.set()
 
-    monkeypatch.setattr(workshop, "PATIENCE", 0.1)
+    monkeypatch.setattr(supervisor, "PATIENCE", 0.1)
     asyncio.run(session())
     assert not workers[1].ending.is_set()
 

@@ -6,7 +6,7 @@ import math
 import pytest
 
 import nanogs
-from nanogs.bench.protocol import run_bench
+from nanogs.bench.run import run_bench
 from nanogs.bench.scenes import BenchScene
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.tables import scene_table

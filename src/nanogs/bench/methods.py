@@ -133,5 +133,5 @@ def _parse(assignment: str, defaults: dict[str, Any]) -> tuple[str, Any]:
     try:
         return name, _SWITCHES[text.lower()] if kind is bool else kind(text)
     except (KeyError, ValueError):
-        wanted = "true or false" if kind is bool else "a number"
+        wanted = {bool: "true or false", int: "a whole number"}.get(kind, "a number")
         raise OptionError(f"{name} takes {wanted}, not {text!r}.") from None

@@ -13,8 +13,8 @@ from nanogs._version import __version__
 from nanogs.bench.digest import digest_of_sources
 from nanogs.bench.measuring import external_path, note_of
 from nanogs.bench.plot import plot
-from nanogs.bench.protocol import row_keys
 from nanogs.bench.rows import BenchRow, BenchTarget, RowKey, Status
+from nanogs.bench.run import row_keys
 from nanogs.bench.scenes import BenchScene
 from nanogs.bench.settings import BenchSettings
 from nanogs.bench.size_charts import SizeCharts

@@ -6,8 +6,7 @@ from dataclasses import replace
 from nanogs.bench.means import mean_rows, unique
 from nanogs.bench.published import CITATION, DATASETS, RATIOS, Figures, PublishedDataset
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow
-
-_NONE = "–"  # noqa: RUF001 - a dash for what was not measured
+from nanogs.formatting import NONE
 
 
 def published_tables(rows: Sequence[BenchRow]) -> Iterator[tuple[str, str]]:
@@ -106,24 +105,24 @@ def _figures(psnr: dict[float, float], row: BenchRow | None) -> Figures:
 def figures_cell(figures: Figures | None) -> str:
     """Format figures like the published table: 25.81 / .910 / .092 / 11 s; 22.28; 19.04."""
     if figures is None:
-        return _NONE
+        return NONE
     first = [_psnr(figures, RATIOS[0]), _share(figures.ssim), _share(figures.lpips)]
-    first.append(_NONE if figures.seconds is None else f"{figures.seconds:.3g} s")
-    while len(first) > 1 and first[-1] == _NONE:
+    first.append(NONE if figures.seconds is None else f"{figures.seconds:.3g} s")
+    while len(first) > 1 and first[-1] == NONE:
         first.pop()
     return "; ".join([" / ".join(first), *(_psnr(figures, ratio) for ratio in RATIOS[1:])])
 
 
 def _original_cell(figures: Figures | None) -> str:
     if figures is None:
-        return _NONE
+        return NONE
     return " / ".join((_psnr(figures, 1.0), _share(figures.ssim), _share(figures.lpips)))
 
 
 def _psnr(figures: Figures, ratio: float) -> str:
     value = figures.psnr.get(ratio)
-    return _NONE if value is None else f"{value:.2f}"
+    return NONE if value is None else f"{value:.2f}"
 
 
 def _share(value: float | None) -> str:
-    return _NONE if value is None else f"{value:.3f}".removeprefix("0")
+    return NONE if value is None else f"{value:.3f}".removeprefix("0")

@@ -202,7 +202,7 @@ def _run(
 ) -> "list[BenchRow]":
     """Measure all rows, save each to the output folder, and show the progress on stderr."""
     from nanogs.bench.output import ResultFolder, run_of
-    from nanogs.bench.protocol import row_count, run_bench
+    from nanogs.bench.run import row_count, run_bench
     from nanogs.cli.console import warn
     from nanogs.cli.progress import shown
     from nanogs.formatting import counted

@@ -24,7 +24,7 @@ from nanogs.studio.orders import SaveRequest, refuse_unfit, shown_path
 from nanogs.studio.pages import Pages
 from nanogs.studio.safety import Guard
 from nanogs.studio.scene import Scene, StudioSettings
-from nanogs.studio.workshop import WorkerSupervisor
+from nanogs.studio.supervisor import WorkerSupervisor
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -70,7 +70,7 @@ class Studio:
         self._port: int = self._socket.getsockname()[1]
         self._token = token_urlsafe(24)
         self._pages = Pages()
-        self._workshop = WorkerSupervisor(scene, settings, self._pages.deliver)
+        self._supervisor = WorkerSupervisor(scene, settings, self._pages.deliver)
         self._stop: Callable[[], None] = lambda: None
 
     @property
@@ -100,7 +100,7 @@ class Studio:
         try:
             server.run(sockets=[self._socket])
         finally:
-            self._workshop.end()
+            self._supervisor.end()
             self._socket.close()
 
     def _application(self) -> "ASGIApp":
@@ -128,7 +128,7 @@ class Studio:
     @asynccontextmanager
     async def _living(self, _application: object) -> AsyncIterator[None]:
         """Open the scene when the server starts, and watch for closed pages while it runs."""
-        self._workshop.open()
+        self._supervisor.open()
         watching = asyncio.create_task(self._watch())
         yield
         watching.cancel()
@@ -138,8 +138,8 @@ class Studio:
         while True:
             await asyncio.sleep(_TICK)
             for name in self._pages.gone():
-                self._workshop.cancel(name, "ask", "filter", "curve")
-            saving = any(job.kind == "save" for job in self._workshop.queue)
+                self._supervisor.cancel(name, "ask", "filter", "curve")
+            saving = any(job.kind == "save" for job in self._supervisor.queue)
             left = self._pages.last_left
             if left is None or self._pages.watched or saving or not self._idle:
                 continue
@@ -166,8 +166,8 @@ class Studio:
         from nanogs.studio.streaming import EventStream
 
         page = self._pages.get(request.query_params.get("page"))
-        if self._pages.scene is None and self._workshop.queue.idle:
-            self._workshop.open()  # an earlier attempt has failed
+        if self._pages.scene is None and self._supervisor.queue.idle:
+            self._supervisor.open()  # an earlier attempt has failed
         return EventStream(partial(self._pages.stream, page))
 
     async def _model(self, request: "Request") -> "Response":
@@ -185,12 +185,12 @@ class Studio:
     async def _ask(self, request: "Request") -> "Response":
         data, number = await self._asked(request, "choice")
         order = self._unnamed(data)
-        self._workshop.put(Job("ask", data["page"], number, order.choice))
+        self._supervisor.put(Job("ask", data["page"], number, order.choice))
         return _json({"command": order.command()})
 
     async def _filter(self, request: "Request") -> "Response":
         data, number = await self._asked(request, "choice")
-        self._workshop.put(Job("filter", data["page"], number, self._chosen(data)))
+        self._supervisor.put(Job("filter", data["page"], number, self._chosen(data)))
         return _json({})
 
     async def _save(self, request: "Request") -> "Response":
@@ -199,7 +199,7 @@ class Studio:
             raise OptionError("overwrite is true or false.")
         order = self._order(data)
         await asyncio.to_thread(order.check_target)
-        self._workshop.put(Job("save", data["page"], number, order))
+        self._supervisor.put(Job("save", data["page"], number, order))
         return _json({"command": order.command()})
 
     async def _command(self, request: "Request") -> "Response":
@@ -251,7 +251,7 @@ class Studio:
         from starlette.responses import Response
 
         data, _ = await self._asked(request)
-        self._workshop.cancel(data["page"])
+        self._supervisor.cancel(data["page"])
         return Response(status_code=204)
 
     async def _seen(self, request: "Request") -> "Response":
@@ -261,7 +261,7 @@ class Studio:
         data, _ = await self._asked(request, "model", "pace")
         if not isinstance(model := data.get("model"), str):
             raise OptionError(f"A model that was drawn has a name, which is not {model!r}.")
-        self._workshop.seen(data["page"], model, _pace(data.get("pace")))
+        self._supervisor.seen(data["page"], model, _pace(data.get("pace")))
         return Response(status_code=204)
 
     async def _asked(self, request: "Request", *names: str) -> tuple[dict[str, Any], int | None]:
