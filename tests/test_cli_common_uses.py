@@ -107,6 +107,7 @@ def test_empty_cameras_are_not_those_of_the_current_folder(folder, command):
         ("info a.ply --packed", "--packed names no format"),
         ("compare a.ply b.ply --packed", "--packed names no format"),
         ("bench a.ply --cameras", "--cameras is empty; name a kind of views"),
+        ("compare a.ply b.ply --photos . --images", "--images is empty; name a folder"),
         ("compare a.ply b.ply --metrics", "--metrics names no metric"),
         ("compare a.ply b.ply --mixed --metrics", "--metrics names no metric"),
         ("bench a.ply --metrics", "--metrics names no metric"),

@@ -69,8 +69,11 @@ def test_bad_arguments_are_refused():
         ("sh_degree", 5, "SH degree"),
         ("sh_degree", -1, "SH degree"),
         ("seed", -1, "seed"),
+        ("count", 10.5, "has 1 to 2,147,483,647 splats"),
+        ("sh_degree", "1", "SH degree"),
+        ("seed", None, "seed must be a whole number"),
     ):
-        with pytest.raises(OptionError, match=f"{words}.*, not {value}"):
+        with pytest.raises(OptionError, match=f"{words}.*, not {value!r}"):
             make_scene(**{"count": 10, name: value})
 
 

@@ -149,8 +149,10 @@ def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
 
     Raises:
         FormatError: The folder has neither layout, or no photographs.
-        OptionError: `images` is not a folder, or is given for NeRF-Synthetic.
+        OptionError: `images` is empty or not a folder, or is given for NeRF-Synthetic.
     """
+    if images is not None and not images.strip():
+        raise OptionError("`images` is empty; name a folder of photographs, or leave it out.")
     folder = Path(path)
     if not folder.exists():
         raise FormatError(f"{folder}: does not exist; check the path.")
@@ -234,7 +236,7 @@ def _sparse(folder: Path) -> Path | None:
 
 
 def _image_folder(folder: Path, images: str | None) -> Path:
-    chosen = folder / (images or "images")
+    chosen = folder / ("images" if images is None else images)
     if chosen.is_dir():
         return chosen
     others = sorted(path.name for path in folder.glob("images*") if path.is_dir())

@@ -11,6 +11,7 @@ from nanogs._types import F32, F64
 from nanogs.activations import base_colour, quaternions
 from nanogs.datasets.still_life import PARTS, SKYLIGHT, SUN, SUNLIGHT, UP, Builder, Part, Rng
 from nanogs.errors import OptionError
+from nanogs.ranges import is_number
 from nanogs.sh import lobe
 from nanogs.splats import MAX_SH_DEGREE, Splats, concatenate
 
@@ -32,14 +33,14 @@ def make_scene(count: int = 200_000, *, sh_degree: int = 3, seed: int = 0) -> Sp
         A model of exactly `count` splats, in random order, about 30 scene units in radius.
 
     Raises:
-        OptionError: `count`, `sh_degree` or `seed` is out of range.
+        OptionError: `count`, `sh_degree` or `seed` is no whole number, or out of range.
     """
-    if not 1 <= count <= MOST:
-        raise OptionError(f"A made-up scene has 1 to {MOST:,} splats, not {count}.")
-    if not 0 <= sh_degree <= MAX_SH_DEGREE:
-        raise OptionError(f"The SH degree must be 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
-    if seed < 0:
-        raise OptionError(f"The seed must not be negative, not {seed}.")
+    if not (is_number(count, whole=True) and 1 <= count <= MOST):
+        raise OptionError(f"A made-up scene has 1 to {MOST:,} splats, not {count!r}.")
+    if not (is_number(sh_degree, whole=True) and 0 <= sh_degree <= MAX_SH_DEGREE):
+        raise OptionError(f"The SH degree must be 0 to {MAX_SH_DEGREE}, not {sh_degree!r}.")
+    if not (is_number(seed, whole=True) and seed >= 0):
+        raise OptionError(f"The seed must be a whole number, 0 or more, not {seed!r}.")
     rng = np.random.default_rng(seed)
     shares = _allot(count)
     parts = [build(n, rng) for build, n in shares.items() if n]
