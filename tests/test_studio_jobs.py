@@ -84,6 +84,21 @@ def test_pages_take_turns():
     assert served == [("open", ""), ("ask", "a"), ("ask", "b"), ("save", "a")]
 
 
+def test_the_page_that_was_served_the_longest_ago_is_next():
+    queue = Queue()
+    for page in "bac":
+        queue.put(Job("ask", page))
+        assert queue.next().page == page
+        queue.done()
+    for page in "cab":
+        queue.put(Job("ask", page))
+    served = []
+    while (job := queue.next()) is not None:
+        served.append(job.page)
+        queue.done()
+    assert served == ["b", "a", "c"]
+
+
 def test_background_measurements_give_way_to_requests():
     queue = Queue()
     curve = Job("curve", "a")
