@@ -13,7 +13,7 @@ from dataset_files import POSE, trained_camera, transforms, write_json, write_ph
 from nanogs.datasets.blender import read_transforms
 from nanogs.datasets.dataset import cameras_from_file
 from nanogs.datasets.inria import read_cameras_json
-from nanogs.errors import FormatError, NanogsError
+from nanogs.errors import FormatError, NanogsError, NoViewsError
 
 on_disk = settings(
     deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -186,6 +186,17 @@ DOCUMENTS = [
 def test_malformed_documents_are_refused(file, document, message):
     with pytest.raises(FormatError, match=message):
         cameras_from_file(write_json(file, document))
+
+
+@pytest.mark.parametrize(
+    ("document", "empty"),
+    [('{"frames": []}', True), ("[]", True), ("{}", False), ('{"frames": {}}', False)],
+)
+def test_only_an_empty_list_means_that_there_are_no_views(file, document, empty):
+    """`nanogs bench` goes on without views to learn from, but not with a damaged file."""
+    with pytest.raises(FormatError) as error:
+        cameras_from_file(write_json(file, document))
+    assert isinstance(error.value, NoViewsError) == empty
 
 
 def test_a_document_that_is_not_utf8_is_refused(file):
