@@ -1,6 +1,7 @@
 """Cameras with lens distortion: as viewpoints, and with photographs that are undistorted."""
 
 import json
+import math
 from functools import cache
 
 import numpy as np
@@ -12,7 +13,9 @@ from dataset_files import colmap_camera, colmap_image, transforms, write_json, w
 from launch import run
 from nanogs import io
 from nanogs.datasets.dataset import cameras_from_file, open_dataset
+from nanogs.datasets.undistort import straightened
 from nanogs.errors import FormatError
+from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens, lens_notes
 from nanogs.scoring.modes import render_findings
 from nanogs.scoring.viewing import view_files
@@ -204,6 +207,14 @@ def test_lenses_whose_distortion_turns_back_are_detected():
     assert Lens("a", above=(-0.3,)).turns_back(1.2)
     assert not Lens("a", above=(-0.3,)).turns_back(1.0)
     assert not Lens("a", fisheye=True).turns_back(50.0)
+
+
+def test_no_place_of_a_photograph_is_shown_twice():
+    """The lens turns back at a radius of 1.054; the corner pixels of the picture are at 1.2."""
+    lens, corner = Lens("a", above=(-0.3,)), math.hypot(39.5, 39.5)
+    camera = Camera(80, 80, corner / 1.2, corner / 1.2, 40, 40, np.eye(4), lens=lens)
+    straight = straightened(camera, "a.png")
+    assert 1.04 < corner / straight.fx < 1.056  # focal lengths are tried in steps of 1 %
 
 
 def test_the_command_notes_that_distortion_is_ignored(tmp_path):
