@@ -289,6 +289,12 @@ def test_a_closed_stdout_fails_only_what_writes_to_it(scene, tmp_path):
 
 
 @UNWRITABLE
+def test_a_closed_stdin_is_refused(tmp_path):
+    for words in (("info", "-"), ("convert", "-", tmp_path / "a.ply")):
+        assert_refused(redirected("<&-", *words), "stdin is closed; pipe a model into it")
+
+
+@UNWRITABLE
 def test_a_full_disk_at_stderr_ends_no_run(scene, tmp_path):
     small = ("simplify", scene, tmp_path / "a.ply", "--preset", "fast", "-n", "30", "-w")
     result = redirected("2>/dev/full", *small)

@@ -36,7 +36,7 @@ class Streams:
     write_as: str | None = None
 
     def check(self, pair: Pair) -> None:
-        """Refuse format options for streams that are not used, and streams that are terminals.
+        """Refuse format options for streams that are not used, terminals, and a closed stdin.
 
         Raises:
             OptionError: There is such an option or stream.
@@ -50,8 +50,9 @@ class Streams:
                 raise OptionError(
                     f"{option} works only if {place} is -; {_instead(path, place, given)}."
                 )
-        if pair.source == DASH and sys.stdin.isatty():
-            raise OptionError("IN is - and stdin is a terminal; pipe a model into it.")
+        if pair.source == DASH and (sys.stdin is None or sys.stdin.isatty()):
+            what = "closed" if sys.stdin is None else "a terminal"
+            raise OptionError(f"IN is - and stdin is {what}; pipe a model into it.")
         if pair.target == DASH and sys.stdout.isatty():
             raise OptionError("OUT is - and stdout is a terminal; redirect it to a file or pipe.")
 
