@@ -289,6 +289,15 @@ def test_a_closed_stdout_fails_only_what_writes_to_it(scene, tmp_path):
 
 
 @UNWRITABLE
+def test_a_current_folder_that_was_removed_is_named(scene, tmp_path):
+    gone = f"mkdir {tmp_path}/gone && cd {tmp_path}/gone && rmdir {tmp_path}/gone"
+    job = "--preset fast -r 0.5 --scratch s --job"
+    words = f"{sys.executable} -m nanogs simplify {scene} {tmp_path}/a.ply {job} {tmp_path}/job"
+    result = subprocess.run(["sh", "-c", f"{gone} && {words}"], capture_output=True, timeout=120)
+    assert_refused(result, "The current folder does not exist any more; change to another one.")
+
+
+@UNWRITABLE
 def test_a_closed_stdin_is_refused(tmp_path):
     for words in (("info", "-"), ("convert", "-", tmp_path / "a.ply")):
         assert_refused(redirected("<&-", *words), "stdin is closed; pipe a model into it")

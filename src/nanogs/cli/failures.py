@@ -2,6 +2,7 @@
 
 import re
 import traceback
+from pathlib import Path
 
 from nanogs.cli.wording import with_options
 
@@ -35,7 +36,18 @@ def _reason(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.errno is not None and error.filename is not None:
         reason = error.strerror or type(error).__name__
         return f"{error.filename}: {reason}; name another file or folder."
+    if isinstance(error, FileNotFoundError) and not _has_folder():
+        return "The current folder does not exist any more; change to another one."
     return None
+
+
+def _has_folder() -> bool:
+    """Return whether the current folder still exists."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def is_shortage(error: Exception) -> bool:
