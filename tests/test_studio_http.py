@@ -288,6 +288,10 @@ def test_paths_inside_the_folder_are_resolved(tmp_path):
     assert folder.inside("a/b.ply") == tmp_path.resolve() / "a" / "b.ply"
     with pytest.raises(OptionError, match="No such file"):
         folder.listed("nowhere")
+    for wrong in ("a\0.ply", "\ud800.ply", "sub\\a.ply", 3):
+        for call in (folder.inside, folder.listed):
+            with pytest.raises(OptionError, match="named by a path relative to the folder"):
+                call(wrong)
 
 
 def test_page_names_are_checked_and_many_pages_are_accepted_one_after_another(studio):
