@@ -532,6 +532,12 @@ def test_paths_stay_paths(tmp_path):
     )
 
 
+@pytest.mark.parametrize("text", ["a\0.ply", "file:///a%00.ply", "\ud800.ply"])
+def test_a_path_that_no_file_can_have_is_refused(text):
+    with pytest.raises(OptionError, match="cannot be the name of a file"):
+        place(text)
+
+
 def test_a_url_file_is_a_local_file_shown_under_its_url(tmp_path):
     (tmp_path / "a.ply").write_bytes(b"x")
     file = UrlFile(tmp_path / "a.ply", "https://h/b.ply")

@@ -8,7 +8,7 @@ and fragment.
 import re
 import sys
 from collections.abc import Sequence
-from os import PathLike, fspath
+from os import PathLike, fsencode, fspath
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import quote, unquote
@@ -187,7 +187,7 @@ def place(given: object) -> Path:
         given: A path or a URL.
 
     Raises:
-        OptionError: It is no path, empty, or a `file://` URL of another machine.
+        OptionError: It is no path, empty, no possible name, or a `file://` URL of another machine.
     """
     if not isinstance(given, str | PathLike):
         raise OptionError(
@@ -199,7 +199,7 @@ def place(given: object) -> Path:
     if isinstance(given, _Called):
         return given
     if not (isinstance(given, str) and is_url(given)):
-        return Path(given)
+        return _possible(Path(given))
     address = Address(given)
     if address.kind != "file" or "::" in given:
         return address
@@ -208,7 +208,22 @@ def place(given: object) -> Path:
     host, slash, path = str(address).partition("://")[2].partition("/")
     if host.lower() not in ("", "localhost"):
         raise OptionError(f"{address} is on the machine {host}; write file:///folder/scene.ply.")
-    return Path(url2pathname(slash + path))
+    return _possible(Path(url2pathname(slash + path)))
+
+
+def _possible(path: Path) -> Path:
+    """Return a path, unless it has a character that no file's name can have.
+
+    Raises:
+        OptionError: It has a NUL or a lone surrogate.
+    """
+    try:
+        encoded = fsencode(path)
+    except UnicodeEncodeError:
+        encoded = b"\0"
+    if b"\0" in encoded:
+        raise OptionError(f"{str(path)!r} cannot be the name of a file; choose another.")
+    return path
 
 
 def local_path(given: object) -> Path:
