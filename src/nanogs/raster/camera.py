@@ -37,7 +37,8 @@ class Camera:
         fy: Focal length in pixels, vertically.
         cx: Principal point, pixels from the left edge of the image.
         cy: Principal point, pixels from the top edge of the image.
-        world_to_camera: (4, 4) float64, rigid; its upper rows are [R | t], t in scene units.
+        world_to_camera: (4, 4) float64, rigid, or a mirror for a model in a left-handed frame; its
+            upper rows are [R | t], t in scene units.
         name: Name of the view in reports and files.
         near: Near plane, scene units: splats whose centre is not farther are culled. Cameras of
             files have the default, 0.2, that of the reference rasteriser.
