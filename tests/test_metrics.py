@@ -133,6 +133,13 @@ def test_depth_error_without_common_cover_is_refused():
         depth_error(ones, ones * np.nan, ones, ones)
     with pytest.raises(OptionError, match="the same size"):
         depth_error(ones, ones, ones, np.ones((2, 3)))
+    with pytest.raises(OptionError, match="NumPy arrays, not list"):
+        depth_error(ones, ones, ones, ones.tolist())
+    for depth in ([[1.0, 2.0], [0.0, 1.0]], [[np.inf, 1.0], [1.0, 1.0]]):
+        with pytest.raises(ModelError, match="finite and positive"):
+            depth_error(ones, ones, np.array(depth), ones)
+    with pytest.raises(ModelError, match="NaN"):
+        depth_error(ones, ones, ones, np.array([[np.nan, 1.0], [1.0, 1.0]]))
 
 
 def test_flip_of_equal_and_of_opposite_images():

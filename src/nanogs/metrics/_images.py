@@ -1,7 +1,6 @@
 """Checks of the metrics' arguments."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,18 @@ def check_range(data_range: float) -> None:
         raise OptionError(f"data_range must be above 0, not {data_range}.")
 
 
+def check_arrays(*images: object) -> None:
+    """Refuse images that are no arrays, such as lists.
+
+    Raises:
+        OptionError: One is none.
+    """
+    for image in images:
+        if not isinstance(image, np.ndarray):
+            kind = type(image).__name__
+            raise OptionError(f"images must be NumPy arrays, not {kind}; np.asarray makes them.")
+
+
 def check_pair(a: Array, b: Array) -> None:
     """Refuse two arrays unless they are images of the same shape in floating point.
 
@@ -28,11 +39,8 @@ def check_pair(a: Array, b: Array) -> None:
         OptionError: They are no arrays, their shapes differ, are not those of images or have no
             pixel, or the values are integers, whose range a metric would have to guess.
     """
-    images: tuple[Any, Any] = (a, b)
-    for image in images:
-        if not isinstance(image, np.ndarray):
-            kind = type(image).__name__
-            raise OptionError(f"images must be NumPy arrays, not {kind}; np.asarray makes them.")
+    check_arrays(a, b)
+    for image in (a, b):
         if image.ndim not in (2, 3) or image.size == 0:
             raise OptionError(f"an image must be (H, W) or (H, W, C), not {image.shape}.")
         if not np.issubdtype(image.dtype, np.floating):

@@ -4,6 +4,7 @@ import numpy as np
 
 from nanogs._types import F
 from nanogs.errors import ModelError, OptionError
+from nanogs.metrics._images import check_arrays
 
 COVERED = 0.5  # alpha above which a pixel shows a surface rather than the background
 
@@ -24,9 +25,10 @@ def depth_error(depth: F, alpha: F, reference_depth: F, reference_alpha: F) -> f
         A ratio, 0 for equal depths.
 
     Raises:
-        OptionError: The shapes differ.
+        OptionError: They are no arrays, or the shapes differ.
         ModelError: No pixel is covered in both, or a covered depth is not finite and positive.
     """
+    check_arrays(depth, alpha, reference_depth, reference_alpha)
     shapes = {depth.shape, alpha.shape, reference_depth.shape, reference_alpha.shape}
     if len(shapes) != 1:
         raise OptionError(f"depth and alpha images must have the same size, not {sorted(shapes)}.")
