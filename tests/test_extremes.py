@@ -99,6 +99,17 @@ def test_one_huge_sh_coefficient_gives_finite_splats(preset, count, value):
     assert_finite(small)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("count", [2, 200])
+def test_merges_of_immense_splats_have_finite_errors(count):
+    """Their weights exceed float32; infinite errors times balance 0 made a cut read past arrays."""
+    splats = random_splats(400, degree=0)
+    splats.log_scales[:10] = 85.0
+    small, _ = nanogs.simplify(splats, count=count, preset="fast", balance=0.0)
+    assert len(small) == count
+    assert_finite(small)
+
+
 @pytest.mark.parametrize("distance", [1e8, 1e15, 1e30])
 def test_outliers_do_not_change_pixel_sizes_or_the_scene_origin(distance):
     splats = random_splats(2000)

@@ -677,6 +677,13 @@ def test_merge_increments_equal_the_reference(own_features):
         assert np.allclose(increment, expected, rtol=1e-5)
 
 
+def test_increments_of_immense_weights_are_finite():
+    _, _, means, covariances, features = random_moments(2, seed=25)
+    pairs, arguments = np.array([[0, 1]], np.int32), (*shuffled(features), *UNMIXED)
+    found = increments_of(pairs, np.array([1e60, 1e60]), means, covariances, arguments)
+    assert (found == np.finfo(np.float32).max).all()
+
+
 @pytest.mark.parametrize("distance", [0.0, 0.3, 1.0, 4.0])
 def test_geometry_increment_is_an_upper_bound_of_the_kl_divergence(distance):
     """Runnalls' bound times the weights: above the true KL divergence, and 0 for equal nodes."""

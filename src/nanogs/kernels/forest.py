@@ -57,10 +57,11 @@ def merge_increments(
                 features, rows, second_rows, shares, j, c
             )
             distance += difference * difference
-        # Colours may differ by more than the square root of the largest float32.
+        # Colours may differ by more than the square root of the largest float32, and the weights of
+        # immense splats may exceed it.
         out[edge, 0] = min(total * pi * pj * min(np.float64(distance), LARGEST), LARGEST)
         growth = log_determinant(merged) - pi * log_dets[i] - pj * log_dets[j]
-        out[edge, 1] = total * 0.5 * growth
+        out[edge, 1] = min(total * 0.5 * growth, LARGEST)
 
 
 @kernel
