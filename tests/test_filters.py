@@ -197,6 +197,7 @@ def test_elements_with_one_row_per_splat_cannot_be_filtered():
         (lambda s: filters.crop_sphere(s, (0, 0, 0), float("nan")), "radius .* not nan"),
         (lambda s: filters.crop_sphere(s, (0, 0, 0), float("inf")), "radius .* not inf"),
         (lambda s: filters.min_opacity(s, 1.1), r"opacity .* not 1\.1"),
+        (lambda s: filters.min_opacity(s, 1 + 1e-9), r"opacity .* not 1\.000000001"),
         (lambda s: filters.min_opacity(s, float("nan")), "opacity .* not nan"),
         (lambda s: filters.drop_floaters(s, neighbours=0), "neighbours .* not 0"),
         (lambda s: filters.drop_floaters(s, deviations=0), "deviations .* not 0"),
@@ -208,6 +209,18 @@ def test_elements_with_one_row_per_splat_cannot_be_filtered():
 def test_invalid_filter_arguments_are_refused(call, message):
     with pytest.raises(OptionError, match=message):
         call(random_splats(5))
+
+
+def test_reports_name_the_numbers_of_filters_exactly():
+    """Six digits would make a box in map coordinates empty, or another one."""
+    for made, text in [
+        (filters.box((455123.75, 0, -0.5), (455124.25, 1, 1e20)),
+         "crop box:455123.75,0,-0.5,455124.25,1,1e+20"),
+        (filters.sphere((0.1, 5000001, 0), np.float64(1 / 3)),
+         "crop sphere:0.1,5000001,0,0.3333333333333333"),
+        (filters.opaque_enough(1 / 255), "min-opacity 0.00392156862745098"),
+    ]:  # fmt: skip
+        assert f"{made.name} {made.argument}" == text
 
 
 # Commands

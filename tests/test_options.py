@@ -206,6 +206,7 @@ class Cut:
         ({"share": 1.5}, "share must be above 0, at most 1, not 1.5."),
         ({"count": 0}, "count must be 1 or more, not 0."),
         ({"count": 10**400}, "count must be at most 1,000,000, not 1.00000e+400."),
+        ({"count": 1_000_001}, "count must be at most 1,000,000, not 1000001."),
         ({"rate": -1}, "rate must be above 0, not -1."),
         ({"width": 8193}, "width must be from 16 to 8192 pixels, not 8193."),
         ({"rate": 0.0}, "rate must be above 0, not 0."),

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from nanogs import filters
 from nanogs.errors import ModelError, OptionError
-from nanogs.formatting import counted
+from nanogs.formatting import counted, exact_text
 from nanogs.frames import turned
 from nanogs.io import load
 from nanogs.io import open as open_model
@@ -151,7 +151,7 @@ class EnvironmentRequest:
 
     def _named(self, request: Request, found: Environment) -> Request:
         """Add the environment to the request, so that no job resumes with a different one."""
-        name = f"{found.source}, {counted(found.count, 'splat')}, ratio {self.ratio:g}"
+        name = f"{found.source}, {counted(found.count, 'splat')}, ratio {exact_text(self.ratio)}"
         return replace(request, environment=name)
 
     def _given(self, request: Request, mode: str) -> Environment:

@@ -14,7 +14,7 @@ import numpy as np
 
 from nanogs._types import F64, Bool, F
 from nanogs.errors import ModelError, OptionError
-from nanogs.formatting import counted
+from nanogs.formatting import counted, exact_text
 from nanogs.ranges import is_number, value_text
 from nanogs.splats import Splats, refuse_misaligned_elements, refuse_other
 
@@ -287,7 +287,7 @@ def box(low: Sequence[float], high: Sequence[float]) -> Filter:
         inside: Bool = np.all((splats.means >= bottom) & (splats.means <= top), axis=1)
         return inside
 
-    text = "box:" + ",".join(f"{value:g}" for value in (*bottom, *top))
+    text = "box:" + ",".join(map(exact_text, (*bottom, *top)))
     return Filter("crop", text, keep, plain=("box", (*bottom.tolist(), *top.tolist())))
 
 
@@ -302,7 +302,7 @@ def sphere(centre: Sequence[float], radius: float) -> Filter:
         inside: Bool = distances(splats.means, middle) <= radius
         return inside
 
-    text = "sphere:" + ",".join(f"{value:g}" for value in (*middle, radius))
+    text = "sphere:" + ",".join(map(exact_text, (*middle, radius)))
     plain = ("sphere", (*middle.tolist(), float(radius)))
     return Filter("crop", text, keep, plain=plain)
 
@@ -349,7 +349,7 @@ def opaque_enough(alpha: float) -> Filter:
         raise OptionError(f"The lowest opacity must be from 0 to 1, not {value_text(alpha)}.")
     return Filter(
         "min-opacity",
-        f"{alpha:g}",
+        exact_text(alpha),
         lambda splats: ~(splats.opacities() < alpha),
         plain=("opacity", (float(alpha),)),
     )

@@ -20,6 +20,11 @@ def number_text(value: float | None, digits: int = 2) -> str:
     return f"{round(value, digits) + 0.0:,.{digits}f}"  # no -0.00
 
 
+def exact_text(value: float) -> str:
+    """Format a number with the fewest digits that parse to the same value: "0.1", "-3"."""
+    return repr(float(value)).removesuffix(".0")
+
+
 def counted(count: int, one: str, more: str = "") -> str:
     """Format a number with its noun in singular or plural: "1 splat holds", "2,000 splats hold".
 

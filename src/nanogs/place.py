@@ -15,6 +15,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import OptionError
+from nanogs.formatting import exact_text
 from nanogs.ranges import is_number, value_text
 
 # WGS84: semi-major axis, metres, and flattening (NGA.STND.0036, table 3.1).
@@ -164,8 +165,7 @@ def text_of(matrix: F64) -> str:
     """
     place = Place.of(matrix)
     if place is None:
-        texts = (repr(value + 0.0).removesuffix(".0") for value in columns(matrix))
-        return f"transform {','.join(texts)}"
+        return f"transform {','.join(exact_text(value + 0.0) for value in columns(matrix))}"
     # Digits for a tenth of a millimetre on Earth.
     digits = {"longitude": 9, "latitude": 9, "height": 4}
     named = ((each.name, getattr(place, each.name)) for each in fields(place))

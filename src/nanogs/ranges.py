@@ -126,11 +126,11 @@ def one_or_several(given: Any) -> list[Any]:  # noqa: ANN401 - whatever a caller
 
 
 def value_text(value: Any) -> str:  # noqa: ANN401 - whatever a caller gives
-    """Format a value for a message: a number in few digits, all else by `repr`."""
+    """Format a value for a message; a number too large for a float in few digits."""
     if not is_number(value):
         return repr(value)
     beyond = isinstance(value, Integral) and abs(int(value)) > sys.float_info.max
-    return f"{Decimal(int(value)):.6g}" if beyond else f"{value:g}"
+    return f"{Decimal(int(value)):.6g}" if beyond else str(value).removesuffix(".0")
 
 
 def is_number(value: object, *, whole: bool = False) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 from nanogs import filters
 from nanogs.errors import OptionError
-from nanogs.formatting import counted
+from nanogs.formatting import counted, exact_text
 from nanogs.io import check_writable, registry
 from nanogs.levels_of_detail import sink_of
 from nanogs.lod.layout import Output, chunks_of, output_of
@@ -134,15 +134,15 @@ class SaveRequest:
         levels = choice.levels
         wish: dict[str, object] = {"count": goal.count, "size": goal.size, "psnr": goal.psnr}
         if levels is not None:
-            wish = {"levels": ",".join(map(number, levels))}
+            wish = {"levels": ",".join(map(exact_text, levels))}
         named = wish | {
             "preset": None if choice.preset == DEFAULT_PRESET else choice.preset,
             "sh-degree": choice.sh_degree,
-            "crop": choice.filters.box and "box:" + ",".join(map(number, choice.filters.box)),
+            "crop": choice.filters.box and "box:" + ",".join(map(exact_text, choice.filters.box)),
             "min-opacity": choice.filters.min_opacity,
             "drop-floaters": choice.filters.floaters or None,
             "render-mode": choice.render_mode,
-            "up": choice.up and self._looks and ",".join(map(number, direction_of(choice.up))),
+            "up": choice.up and self._looks and ",".join(map(exact_text, direction_of(choice.up))),
             "frame": self.frames and ":".join(self.frames),
             "device": None if self.settings.device == "cpu" else self.settings.device,
             "max-memory": self.settings.max_memory,
@@ -195,12 +195,6 @@ def filters_of(chosen: FilterChoice) -> list[filters.Filter]:
     return filters.in_order(regions, chosen.min_opacity, floaters=chosen.floaters)
 
 
-def number(value: float) -> str:
-    """Format a number with the fewest digits that parse to the same value."""
-    text = repr(value)
-    return text.removesuffix(".0")
-
-
 def typed(path: Path) -> str:
     """Format a path so that a command does not take it for an option."""
     text = str(path)
@@ -213,7 +207,7 @@ def option(name: str, value: object) -> list[str]:
         return []
     if value is True:
         return [f"--{name}"]
-    return [f"--{name}", number(value) if isinstance(value, float) else str(value)]
+    return [f"--{name}", exact_text(value) if isinstance(value, float) else str(value)]
 
 
 def shown_path(scene: Scene, choice: Choice) -> Path:
