@@ -109,7 +109,8 @@ def assert_source_equals(source, whole):
     assert source.columns.sh_degree == whole.sh_degree
     assert dict(source.columns.extras) == {n: c.dtype.str for n, c in whole.extras.items()}
     count = len(whole)
-    for start, stop in [(0, count), (0, 1), (count - 1, count), (count // 3, count // 2)]:
+    some = (0, count), (0, 1), (count - 1, count), (count // 3, count // 2), (count, count)
+    for start, stop in some:
         assert_same(columns_only(source.read(start, stop)), columns_only(whole.span(start, stop)))
     blocks = list(source.blocks())
     assert_same(columns_only(sources.joined_rows(blocks)), columns_only(whole))
@@ -197,6 +198,30 @@ def test_elements_are_read_separately_from_rows(tmp_path):
         for found in (source.read_elements(), source.load().elements):
             assert found[0].rows.tobytes() == rows.tobytes()
         assert source.columns == InMemory(nanogs.load(tmp_path / "a.ply")).columns
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda given: Filtered(given, KEPT),
+        lambda given: Turned(given, "rdf", "rub"),
+        lambda given: Reduced(given, 0),
+        lambda given: Tagged(given, "mip"),
+        lambda given: Joined([InMemory(random_splats(2)), given]),
+    ],
+)
+def test_sources_made_of_others_close_these(changed):
+    class Open(InMemory):
+        closed = False
+
+        def close(self):
+            self.closed = True
+
+    given = Open(random_splats(40))
+    with changed(given) as source:
+        source.read(0, 1)
+        assert not given.closed
+    assert given.closed
 
 
 def test_unpacked_data_are_removed_when_the_source_is_closed(tmp_path):
