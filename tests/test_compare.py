@@ -583,6 +583,8 @@ def test_pictures_need_a_model_and_cameras(tmp_path):
     assert path == str(tmp_path / "a.png")
     with pytest.raises(OptionError, match=r"must be a nanogs\.Camera, not str"):
         render_images(splats, "auto", tmp_path / "images")
+    with pytest.raises(OptionError, match="no view to render"):
+        render_images(splats, [], tmp_path / "images")
     with pytest.raises(ModelError, match=r"not the path 'a\.ply'"):
         render_images("a.ply", camera(), tmp_path / "images")
     assert [each.name for each in tmp_path.iterdir()] == ["a.png"]

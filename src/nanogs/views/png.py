@@ -59,12 +59,14 @@ def render_images(
 
     Raises:
         ModelError: `model` is no model.
-        OptionError: A view is no camera, or an invalid one; two give one file name, or there are
-            several for one file.
+        OptionError: There is no view, or one is no camera, or an invalid one; two give one file
+            name, or there are several for one file.
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
     target, cameras = Path(target), one_or_several(cameras)
     check_cameras(cameras)
+    if not cameras:
+        raise OptionError("There is no view to render; give one camera or more.")
     folder, names, suffix = _places(target, cameras)
     files = [_files(name, suffix, depth=depth) for name in names]
     written = [name for each in files for name in each]
