@@ -14,6 +14,7 @@ from nanogs.raster.rendering import prepare, render
 from nanogs.splats import concatenate
 from nanogs.views import roam
 from nanogs.views.automatic import automatic_cameras
+from nanogs.views.cameras import cameras_for
 from nanogs.views.free_space import FreeSpace
 from nanogs.views.roam import roaming_cameras
 from test_views import SCENE, ball, cloud, product, room
@@ -219,6 +220,14 @@ def test_a_model_without_splats_is_refused():
     for measured in (nanogs.render, nanogs.draw_cost):
         with pytest.raises(ModelError, match="nothing"):
             measured(empty, "roam")
+
+
+def test_what_is_no_model_is_refused():
+    with pytest.raises(ModelError, match="Splats, not InMemory"):
+        roaming_cameras(nanogs.source.InMemory(SCENE), 2)
+    for kind in ("auto", "roam"):
+        with pytest.raises(ModelError, match=r"not the path 'a\.ply'"):
+            cameras_for("a.ply", kind, count=2, width=8, height=8)
 
 
 def test_a_scene_without_suitable_views_is_refused():

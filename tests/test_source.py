@@ -152,7 +152,7 @@ def test_rows_out_of_range_are_refused(tmp_path, suffix):
         nanogs.save(model_of(), path)
         source = nanogs.open(path)
     with source:
-        for start, stop in [(-5, 3), (5, 3), (699, 701), (701, 701)]:
+        for start, stop in [(-5, 3), (5, 3), (699, 701), (701, 701), (0, 1.0), ("0", 1)]:
             with pytest.raises(
                 OptionError, match=f"has no rows {start} to {stop}: its 700 rows are"
             ):

@@ -90,7 +90,8 @@ class Source(ABC):
             OptionError: There are no such rows.
             FormatError: They cannot be read, or are damaged.
         """
-        if not 0 <= start <= stop <= self.count:
+        whole = is_number(start, whole=True) and is_number(stop, whole=True)
+        if not (whole and 0 <= start <= stop <= self.count):
             raise self._lacking(f"no rows {start} to {stop}")
         return self._span(start, stop)
 

@@ -11,7 +11,7 @@ from nanogs.protocol import PIXELS, VIEWS
 from nanogs.protocol import Kind as Origin
 from nanogs.ranges import is_number, one_or_several
 from nanogs.raster.camera import Camera
-from nanogs.source import Source
+from nanogs.source import Source, refuse_no_model
 from nanogs.splats import Splats
 from nanogs.views.automatic import Kind, Split, automatic_cameras
 from nanogs.views.decimated import decimated
@@ -48,8 +48,9 @@ def cameras_for(
         The cameras; fewer than `count` if not enough roaming ones are found.
 
     Raises:
-        NanogsError: The source is neither, or cannot be read.
+        NanogsError: `model` is no model, or the source is neither, or cannot be read.
     """
+    refuse_no_model(model)
     if source in AUTOMATIC:
         kind = AUTOMATIC[source]
         return automatic_cameras(

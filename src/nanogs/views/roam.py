@@ -27,7 +27,7 @@ from nanogs.raster.camera import Camera
 from nanogs.raster.depths import light_by_depth
 from nanogs.raster.light import light_in_view
 from nanogs.raster.rendering import PreparedSplats, prepare
-from nanogs.splats import Splats
+from nanogs.splats import Splats, refuse_other
 from nanogs.views.automatic import automatic_cameras, check_views, survey
 from nanogs.views.free_space import FreeSpace, middle
 from nanogs.views.poses import look_at
@@ -130,9 +130,10 @@ def roaming_cameras(
         were found in `TRIES` tries for each.
 
     Raises:
-        ModelError: No splat is visible, or no camera was found.
+        ModelError: It is no `Splats`, no splat is visible, or no camera was found.
         OptionError: An argument is out of range.
     """
+    refuse_other(splats)
     if not isinstance(split, str):
         raise OptionError(f"The split of views must be a name, not {split!r}.")
     test_camera = _test_camera(count, width, height, FOV if fov is None else fov)
