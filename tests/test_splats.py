@@ -439,6 +439,19 @@ def test_the_picture_shows_the_model():
     assert (image[:, :40] > 20).any(axis=2).mean() < 0.1
 
 
+def test_a_picture_is_rendered_once_until_an_array_changes(monkeypatch):
+    model, rendered = random_splats(30), []
+    monkeypatch.setattr(
+        summary, "_render", lambda splats: rendered.append(1) or splats.sh.tobytes()
+    )
+    assert model._repr_png_() == model._repr_png_() == model.sh.tobytes()
+    assert len(rendered) == 1
+    for column in (model.means, model.log_scales, model.quats, model.opacity_logits, model.sh):
+        column[-1] += 1
+        assert model._repr_png_() == model.sh.tobytes()
+    assert len(rendered) == 6
+
+
 def test_without_an_image_a_notebook_shows_text_and_the_reason(monkeypatch):
     nothing = random_splats(3)[:0]
     assert nothing._repr_png_() is None

@@ -2,6 +2,7 @@
 
 import base64
 import html as markup
+import zlib
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -12,7 +13,8 @@ from nanogs.splats import Splats
 
 WIDTH, HEIGHT = 480, 320  # size of the picture, pixels
 
-_pictures: "WeakKeyDictionary[Splats, bytes | str]" = WeakKeyDictionary()
+# Notebooks ask for a picture twice. Each is kept with a checksum of the arrays, which may change.
+_pictures: "WeakKeyDictionary[Splats, tuple[int, bytes]]" = WeakKeyDictionary()
 
 
 def one_line(splats: Splats) -> str:
@@ -39,13 +41,20 @@ def html(splats: Splats) -> str:
 
 
 def picture(splats: Splats) -> bytes | str:
-    """Return a PNG of the whole model, or the reason why there is none; cached. Never raises."""
-    if splats not in _pictures:
-        try:
-            _pictures[splats] = _render(splats)
-        except Exception as error:  # a missing picture must not fail the notebook's cell
-            _pictures[splats] = str(error) or type(error).__name__
-    return _pictures[splats]
+    """Return a PNG of the whole model, or the reason why there is none. Never raises."""
+    try:
+        found, now = _pictures.get(splats), _checksum(splats)
+        if found is None or found[0] != now:
+            found = _pictures[splats] = now, _render(splats)
+    except Exception as error:  # a missing picture must not fail the notebook's cell
+        return str(error) or type(error).__name__
+    return found[1]
+
+
+def _checksum(splats: Splats) -> int:
+    """Return a checksum of the arrays that a picture depends on."""
+    columns = splats.means, splats.log_scales, splats.quats, splats.opacity_logits, splats.sh
+    return hash(tuple(zlib.crc32(np.ascontiguousarray(column).data) for column in columns))
 
 
 def _render(splats: Splats) -> bytes:
