@@ -1,5 +1,6 @@
 """Models in blocks: the command, killed runs, workers, and borders between blocks."""
 
+import asyncio
 import gc
 import json
 import logging
@@ -279,6 +280,52 @@ def test_a_job_of_a_process_pool_can_be_resumed_after_a_process_was_lost(scene, 
 def test_a_wrong_type_of_executor_is_refused(scene, tmp_path):
     with pytest.raises(OptionError, match=r"a Dask client or a concurrent.*, not int"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, executor=2, **BLOCK)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_executor_that_takes_no_tasks_leaves_no_job(scene, tmp_path):
+    shut = ThreadPoolExecutor(1)
+    shut.shutdown()
+    with pytest.raises(OptionError, match=r"^The executor takes no tasks .*; give one that runs"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, executor=shut, **BLOCK)
+    with ProcessPoolExecutor(1) as broken:
+        broken.submit(os._exit, 1).exception()
+        with pytest.raises(OutputError, match=r"^1 worker ended .* give a new executor"):
+            nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, executor=broken, **BLOCK)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("stage", ["grow", "budget"])
+def test_an_executor_that_is_shut_down_meanwhile_is_an_error(scene, tmp_path, stage):
+    pool = ThreadPoolExecutor(1)
+
+    def progress(step):
+        if step.stage == stage and step.done == 1:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    with pytest.raises(OutputError, match=r"^The executor was shut down.*`resume=True` continues"):
+        nanogs.simplify_blocks(
+            scene, tmp_path / "a.ply", ratio=0.1, executor=pool, progress=progress, **BLOCK
+        )
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_client_that_takes_no_tasks_leaves_no_job(scene, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    alone = {"n_workers": 1, "processes": False, "dashboard_address": None}
+
+    def refused(client, message):
+        with pytest.raises(OptionError, match=message):
+            nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, executor=client, **BLOCK)
+
+    async def from_a_loop():
+        async with distributed.Client(asynchronous=True, **alone) as client:
+            refused(client, "^The Dask client is asynchronous; give one that was made without")
+
+    with distributed.Client(**alone) as client:
+        pass
+    refused(client, "^The Dask client is closed; give one that is connected")
+    asyncio.run(from_a_loop())
     assert list(tmp_path.iterdir()) == []
 
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 KEPT = "the job is kept, and `resume=True` continues it"
+_SCHEDULER, _EXECUTOR = "The Dask scheduler was lost", "The executor was shut down"
 _LOOK = 1.0  # seconds between checks of the cluster
 _POLL = 0.1  # seconds between checks of a worker
 _ANSWER = 10  # seconds that a scheduler may take to list its workers
@@ -46,6 +47,7 @@ class Workers:
         watch: Called each second without a result, with the time of the last; it raises if no
             more can be expected.
         settle: Called by `finish`, to wait for tasks whose futures cannot tell when they end.
+        lost: What has happened if no task is taken any more, as the beginning of the sentence.
         begun: Futures of tasks that had begun when another failed.
     """
 
@@ -53,6 +55,7 @@ class Workers:
     threads: int | None
     watch: Callable[[float], None] = lambda _: None
     settle: Callable[[], None] = lambda: None
+    lost: str = _SCHEDULER
     begun: "list[futures.Future[None]]" = field(default_factory=list)
 
     def run(self, work: Work, tasks: Sequence[Task]) -> Iterator[Task]:
@@ -78,7 +81,7 @@ class Workers:
                     self.watch(since)
                     continue
                 task, since = left.pop(future), time.monotonic()
-                check(future, task)
+                check(future, task, self.lost)
                 yield task
         finally:
             # Tasks that no worker has begun are not begun any more.
@@ -94,8 +97,10 @@ class Workers:
             return self.submit(*given)
         except futures.BrokenExecutor:
             raise _ended(1) from None
-        except Exception:
+        except Exception as error:
             self.watch(time.monotonic())  # raises a better error if the cluster is gone
+            if isinstance(error, RuntimeError):  # as executors do after `shutdown`
+                raise _lost(self.lost) from error
             raise
 
 
@@ -193,18 +198,39 @@ def workers_of(
         waiting: Called repeatedly while it has none.
 
     Raises:
-        OptionError: It is neither.
+        OptionError: It is neither, or takes no tasks.
+        OutputError: A worker of the executor ended before, and it takes no tasks any more.
     """
     if isinstance(given, futures.Executor):
-        return Workers(given.submit, threads)
+        _try_out(given)
+        return Workers(given.submit, threads, lost=_EXECUTOR)
     if not hasattr(given, "scheduler_info"):
         raise OptionError(
             "`executor` is a Dask client or a concurrent.futures.Executor, not"
             f" {type(given).__name__}."
         )
+    if given.status == "closed":
+        raise OptionError("The Dask client is closed; give one that is connected.")
+    if given.asynchronous:
+        raise OptionError(
+            "The Dask client is asynchronous; give one that was made without `asynchronous=True`."
+        )
     keys = set[str]()
     submit, settle = partial(_submit_to, given, keys), partial(_settle, given, keys)
     return Workers(submit, threads, _Watch(given, patience, waiting), settle)
+
+
+def _try_out(executor: futures.Executor) -> None:
+    """Refuse an executor that takes no tasks, before a job is begun that it could not do."""
+    try:
+        executor.submit(int)
+    except futures.BrokenExecutor:
+        raise OutputError(
+            "1 worker ended in the middle of an earlier task, perhaps because memory ran out; give"
+            " a new executor."
+        ) from None
+    except RuntimeError as error:
+        raise OptionError(f"The executor takes no tasks ({error}); give one that runs.") from None
 
 
 def _count(client: "Client") -> int | None:
@@ -216,15 +242,20 @@ def _count(client: "Client") -> int | None:
         return None
 
 
-def check(future: "futures.Future[None]", task: Task) -> None:
+def check(future: "futures.Future[None]", task: Task, lost: str = _SCHEDULER) -> None:
     """Raise the error of a task, if it failed.
+
+    Args:
+        future: Of the task; done.
+        task: For the message.
+        lost: What has happened if the task was cancelled, as the beginning of the sentence.
 
     Raises:
         NanogsError: It failed for a known reason.
     """
     error = None if future.cancelled() else future.exception()
     if future.cancelled() or isinstance(error, futures.CancelledError):
-        raise _lost()
+        raise _lost(lost)
     if error is None:
         return
     if isinstance(error, NanogsError):
@@ -249,8 +280,8 @@ def _ended(workers: int) -> OutputError:
     )
 
 
-def _lost() -> OutputError:
-    return OutputError(f"The Dask scheduler was lost, or has cancelled the work; {KEPT}.")
+def _lost(who: str = _SCHEDULER) -> OutputError:
+    return OutputError(f"{who}, or has cancelled the work; {KEPT}.")
 
 
 def do_task(
