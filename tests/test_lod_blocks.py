@@ -1,8 +1,10 @@
 """Levels of detail that are made in blocks, for models that do not fit into memory."""
 
+import errno
 import hashlib
 import itertools
 import json
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -386,16 +388,48 @@ def test_folders_with_foreign_files_are_not_replaced(scene, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
 
-def test_the_job_folder_may_be_on_another_file_system(scene, tmp_path, levels_by_layout):
+@pytest.fixture
+def elsewhere(tmp_path):
+    """A folder on another file system."""
     folders = [path for path in map(Path, ("/dev/shm", "/var/tmp")) if path.is_dir()]
     others = [path for path in folders if path.stat().st_dev != tmp_path.stat().st_dev]
     if not others:
         pytest.skip("there is no other file system")
-    with tempfile.TemporaryDirectory(dir=others[0]) as job:
-        write(scene, tmp_path / "levels", Layout.TILES, job=Path(job) / "job")
-        assert list(Path(job).iterdir()) == []
-    assert files(tmp_path / "levels") == files(levels_by_layout[Layout.TILES][0])
+    with tempfile.TemporaryDirectory(dir=others[0]) as folder:
+        yield Path(folder)
+
+
+@pytest.mark.parametrize("layout", [Layout.TILES, Layout.SOG])
+def test_the_job_folder_may_be_on_another_file_system(
+    scene, tmp_path, elsewhere, levels_by_layout, layout
+):
+    write(scene, tmp_path / "levels", layout, job=elsewhere / "job")
+    assert list(elsewhere.iterdir()) == []
+    assert files(tmp_path / "levels") == files(levels_by_layout[layout][0])
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
+
+
+def test_a_disk_that_is_full_when_the_folder_is_moved_is_named_once(
+    scene, tmp_path, elsewhere, monkeypatch
+):
+    tried = []
+
+    def full(_source, target):
+        tried.append(target)
+        raise OSError(errno.ENOSPC, "No space left on device", str(target))
+
+    monkeypatch.setattr(shutil, "copy2", full)
+    with pytest.raises(OutputError) as caught:
+        write(scene, tmp_path / "levels", Layout.TILES, job=elsewhere / "job")
+    place = tmp_path / "levels"
+    assert (
+        str(caught.value) == f"{place}: the disk or quota is full; free some space and run again."
+    )
+    assert len(tried) == 1
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.undo()
+    write(scene, place, Layout.TILES, job=elsewhere / "job", resume=True)
+    assert list(elsewhere.iterdir()) == []
 
 
 def test_file_names_cannot_lead_out_of_the_folder(tmp_path):
