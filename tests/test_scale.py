@@ -317,6 +317,7 @@ def test_differences_are_named_by_the_options_of_the_user():
         assert in_words([field])
     assert in_words(["segments", "block"]) == "the memory for blocks, or their size"
     assert in_words(["segments", "nan", "block", "filters"]) == "`nan`, the filters"
+    assert in_words(["sharing"]) == "the format or `palette`"
 
 
 @pytest.mark.parametrize(

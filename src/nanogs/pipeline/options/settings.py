@@ -43,7 +43,7 @@ _GIVEN = {
     "frame": "`frame`",
     "asked": "the views (`cameras`, `up`)",
     "sh_degree": "`sh_degree`",
-    "sharing": "`palette`",
+    "sharing": "the format or `palette`",
     "environment": "`environment`",
     "scratch": "`scratch`",
 }
