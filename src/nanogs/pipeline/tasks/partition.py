@@ -45,6 +45,11 @@ class Partition:
         return sum(piece.stop - piece.start for piece in self.pieces(block))
 
     @property
+    def largest(self) -> int:
+        """Largest number of splats of a block."""
+        return max(map(self.count, range(self.blocks)))
+
+    @property
     def splats(self) -> int:
         """Number of splats of all blocks."""
         return sum(each[-1] for each in self.bounds)
@@ -80,16 +85,14 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
     coarse = settings.rows_per_code > 1
     slack = 2 * settings.rows_per_code * len(segments) if coarse else 1
     room = max(settings.block - slack, 1)
-    splitters = _splitters(scratch, segments, settings.rows_per_code, -(-splats // room))
-    bounds = []
-    for record in segments:
-        inner = np.searchsorted(read_column(scratch, record, CODES), splitters)
-        bounds.append((0, *map(int, inner), len_of(record)))
-    found = _without_empty(np.array(bounds, np.int64))
-    most = max(found.count(block) for block in range(found.blocks))
-    if most > settings.block + slack:
+    codes, before = _merged(scratch, segments, settings.rows_per_code)
+    found = _divided(scratch, segments, _even(codes, before, -(-splats // room)))
+    if found.largest > settings.block + slack:
+        # Splats in one place, which stay together, shift the bounds of even ranges by their number.
+        found = _divided(scratch, segments, _full(codes, before, splats, room))
+    if found.largest > settings.block + slack:
         raise CrowdedError(
-            f"{most:,} splats lie in one place and cannot be divided into blocks of"
+            f"{found.largest:,} splats lie in one place and cannot be divided into blocks of"
             f" {settings.block:,}"
         )
     return found
@@ -100,10 +103,8 @@ def len_of(record: Record) -> int:
     return record.columns[CODES].shape[0]
 
 
-def _splitters(
-    scratch: Scratch, segments: Sequence[Record], rows_per_code: int, blocks: int
-) -> U64:
-    """Return (blocks - 1,) Morton codes: the lowest that belongs to each block after the first."""
+def _merged(scratch: Scratch, segments: Sequence[Record], rows_per_code: int) -> tuple[U64, I64]:
+    """Return the codes of all digests, ascending, and the number of rows before each."""
     codes, weights = [], []
     for record in segments:
         codes.append(read_column(scratch, record, DIGEST))
@@ -111,11 +112,32 @@ def _splitters(
         weights.append(np.array([rows_per_code] * full + [rest] * (rest > 0), np.int64))
     merged, heavy = np.concatenate(codes), np.concatenate(weights)
     order = np.argsort(merged, kind="stable")
-    before = np.cumsum(heavy[order]) - heavy[order]
+    return merged[order], np.cumsum(heavy[order]) - heavy[order]
+
+
+def _even(codes: U64, before: I64, blocks: int) -> U64:
+    """Return (blocks - 1,) splitters, the lowest code of each block after the first."""
     wanted = before[-1] * np.arange(1, blocks) // blocks
-    places = np.minimum(np.searchsorted(before, wanted), len(merged) - 1)
-    chosen: U64 = merged[order][places]
+    chosen: U64 = codes[np.minimum(np.searchsorted(before, wanted), len(codes) - 1)]
     return chosen
+
+
+def _full(codes: U64, before: I64, rows: int, room: int) -> U64:
+    """Return splitters for blocks of whole places, each as full as `room` of all `rows` allows."""
+    places, firsts = np.unique(codes, return_index=True)
+    ends, splitters, at, start = np.append(before[firsts[1:]], rows), [], 0, 0
+    while (at := max(int(np.searchsorted(ends, start + room, side="right")), at + 1)) < len(places):
+        splitters.append(places[at])
+        start = int(ends[at - 1])
+    return np.array(splitters, np.uint64)
+
+
+def _divided(scratch: Scratch, segments: Sequence[Record], splitters: U64) -> Partition:
+    bounds = []
+    for record in segments:
+        inner = np.searchsorted(read_column(scratch, record, CODES), splitters)
+        bounds.append((0, *map(int, inner), len_of(record)))
+    return _without_empty(np.array(bounds, np.int64))
 
 
 def _without_empty(bounds: I64) -> Partition:
