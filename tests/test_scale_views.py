@@ -231,7 +231,10 @@ def test_blocks_that_are_not_fitted_are_noted_in_the_report(splats, tmp_path):
 
 @pytest.mark.parametrize("options", [{"preset": "fast", "steps": 0}, {}])
 @pytest.mark.parametrize("block", [500, 10**6])
-def test_the_scratch_takes_the_planned_disk_space(scene, tmp_path, monkeypatch, options, block):
+@pytest.mark.parametrize("ratio", [0.2, 0.9])
+def test_the_scratch_takes_the_planned_disk_space(
+    scene, tmp_path, monkeypatch, options, block, ratio
+):
     remove, found = BlockJob._remove, []
 
     def measure_and_remove(job, scratch):
@@ -240,11 +243,19 @@ def test_the_scratch_takes_the_planned_disk_space(scene, tmp_path, monkeypatch, 
 
     monkeypatch.setattr(BlockJob, "_remove", measure_and_remove)
     out, chosen = tmp_path / "a.ply", BLOCKS | {"block": block} | options
-    nanogs.simplify_blocks(scene, out, ratio=0.2, **chosen)
+    nanogs.simplify_blocks(scene, out, ratio=ratio, **chosen)
     overrides = {name: chosen[name] for name in ("views", "view_size", "steps")}
     request = {"preset": chosen["preset"], "overrides": overrides, "output": out}
-    plan = plan_job(Request(goal=Goal(ratio=0.2), inputs=(scene,), **request), None, block)[1]
+    plan = plan_job(Request(goal=Goal(ratio=ratio), inputs=(scene,), **request), None, block)[1]
     assert plan.scratch == pytest.approx(found[0] + out.stat().st_size, rel=0.1)
+
+
+def test_a_level_of_all_splats_takes_no_disk_space_for_groups(scene, splats, tmp_path):
+    def planned(*ratios):
+        request = {"inputs": (scene,), "output": tmp_path / "a", "preset": "fast"}
+        return plan_job(Request(goal=Goal(ratio=1), ratios=ratios, **request), None, 500)[1].scratch
+
+    assert planned(1, 0.5) - planned(0.5) == 2 * len(model_bytes(splats))
 
 
 def test_levels_are_fitted_too(scene, tmp_path):

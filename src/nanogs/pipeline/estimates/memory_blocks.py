@@ -26,6 +26,7 @@ from nanogs.store.columns import row_bytes
 _CODES = 2 * 8  # bytes a splat: Morton code and sort order
 _HISTOGRAM = 8 << 16  # bytes of the histogram of a forest's scores, for each balance
 _PLACE = 4 * 8  # bytes of a group: its centre and reach
+_COVER = (3 + 6 + 1) * 8  # bytes of a group as a cover of others: centre, covariance, alpha
 _TRIED = 2  # models compared with the original at a time; growth candidates differ in scales only
 
 
@@ -102,7 +103,12 @@ def scratch_bytes(
     copies = 2 + encoded + (parameters.steps > 0)  # parts, fitted parts, chunks, the result
     held = splats * (row + 8)  # sorted splats with their Morton codes
     held += splats * (8 + 4 * balances) + blocks * balances * _HISTOGRAM  # forests
-    held += len(shares) * splats * 2 * 4 + results * (copies * row + _PLACE)  # labels, parts
+    held += results * copies * row
+    cut = [share for share in shares if int(share * splats) < splats]  # of the others no group
+    groups = sum(int(share * splats) for share in cut)
+    held += len(cut) * splats * 2 * 4 + groups * _PLACE  # labels
+    if parameters.rounds and not parameters.guided:
+        held += groups * _COVER
     if not renders(parameters):
         return held
     held += splats * 8  # visibility
