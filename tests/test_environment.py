@@ -255,8 +255,10 @@ def test_a_dry_run_reports_the_environment(model, tmp_path):
     plan = json.loads(run("lod", model, path, *FAST, "--dry-run", "--json").stdout)
     assert plan["environment"] == {"source": "auto", "count": SKY}
     assert [level["count"] for level in plan["levels"]] == [2400, 1200, 240]
+    assert (plan["read_count"], plan["input_count"]) == (2400 + SKY, 2400)
     messages = run("lod", model, path, *FAST, "--dry-run", "--job", tmp_path / "job").stderr
     assert f"an environment of {SKY} splats" in " ".join(messages.split())
+    assert f"a.ply ({2400 + SKY:,} splats, of which 2,400 remain, SH degree" in messages
     plan = run("lod", model, path, *FAST, "--dry-run", "--json", "--environment", "none").stdout
     assert json.loads(plan)["environment"] is None
     assert list(tmp_path.iterdir()) == []

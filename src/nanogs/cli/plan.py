@@ -45,7 +45,8 @@ class Plan:
         request: The request to the library.
         method: Options of the method and of its execution.
         info: Metadata of the input; for several files that of the first, with the splats and bytes
-            of all.
+            of all. The splats are those that filters leave, if planning counts them.
+        read_count: Splats of all input files.
         count: Number of splats of the (first) result, or None if it is not known beforehand.
         usable: Number of the model's splats without a NaN or infinite value, or None if the splats
             were not read.
@@ -57,6 +58,7 @@ class Plan:
     request: Request
     method: Method
     info: FileInfo
+    read_count: int
     count: int | None
     free: Memory
     divided: bool = False
@@ -191,6 +193,7 @@ class Plan:
         return {
             "input": self.name,
             "input_count": self.info.splats,
+            "read_count": self.read_count,
             "preset": self.method.preset,
             "parameters": asdict(self.request.parameters),
             "memory_bytes": asdict(self.memory()),
@@ -238,7 +241,9 @@ def plan_run(
     """
     info, goal = inspect_parts(request.inputs), request.goal
     count, free = goal.known_count(info.splats), allowed_memory(request.max_memory)
-    plan = Plan(request=request, method=method, info=info, count=count, free=free)
+    plan = Plan(
+        request=request, method=method, info=info, read_count=info.splats, count=count, free=free
+    )  # fmt: skip
     if plan_files(request).divided:
         plan.refuse_whole_model_wishes(piped=piped)
         return replace(plan, divided=True)
@@ -272,10 +277,12 @@ def _preset_of_kernels(request: Request) -> str:
 
 def show_plan(plan: Plan, text: str) -> None:
     """Print a plan on stderr; `text` describes the output."""
-    info, memory = plan.info, plan.memory()
+    info, memory, splats = plan.info, plan.memory(), counted(plan.read_count, "splat")
+    if info.splats < plan.read_count:
+        splats += f", of which {info.splats:,} remain"
     known = effective(plan.request.parameters).items()
     rows = {
-        "would read": f"{plan.name} ({counted(info.splats, 'splat')}, SH degree {info.sh_degree})",
+        "would read": f"{plan.name} ({splats}, SH degree {info.sh_degree})",
         "would write": text,
         "preset": plan.method.preset,
         "parameters": ", ".join(f"{name} {value}" for name, value in known),
