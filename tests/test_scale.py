@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -610,6 +611,23 @@ def test_a_job_folder_with_other_files_is_refused_and_kept(scene, tmp_path):
     with pytest.raises(OutputError, match="holds other files"):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, job=tmp_path / "job", **FAST)
     assert names_in(tmp_path / "job") == ["thesis.txt"]
+
+
+@pytest.mark.parametrize("name", ["job", "scratch"])
+@pytest.mark.parametrize("inside", ["", "files"])
+@pytest.mark.parametrize("kind", ["file", "levels"])
+def test_the_files_of_a_job_cannot_be_in_its_output(scene, tmp_path, name, inside, kind):
+    simplify = partial(nanogs.simplify_blocks, ratio=0.3)
+    make = simplify if kind == "file" else partial(nanogs.write_levels, ratios=[0.3])
+    out = tmp_path / ("out.ply" if kind == "file" else "out")
+    with pytest.raises(OptionError, match=rf"is the output or in it.* with `{name}`\.$"):
+        make(scene, out, **{name: str(out / inside)}, **FAST)
+    assert names_in(tmp_path) == []
+
+
+def test_an_empty_scratch_is_refused(scene, tmp_path):
+    with pytest.raises(OptionError, match="`scratch` is empty"):
+        nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, scratch="", **FAST)
 
 
 @pytest.mark.parametrize(

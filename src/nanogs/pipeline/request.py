@@ -1,5 +1,6 @@
 """A request for smaller files, and the decision between a model in memory and blocks."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from nanogs.io.files import splat_bytes
 from nanogs.io.format import Format, FormatOptions, Sharing, Sizer, given_options
 from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
+from nanogs.io.urls import Address, is_url
 from nanogs.memory import allowed_memory
 from nanogs.pipeline.api import refuse_device, refuse_reduced, refuse_searches, refuse_small
 from nanogs.pipeline.estimates.memory import (
@@ -120,6 +122,7 @@ class Request:
             )
         if not is_number(self.patience) or not self.patience >= 0:
             raise OptionError(f"`patience` must be seconds, 0 or more, not {self.patience!r}.")
+        self._refuse_files_in_output()
         object.__setattr__(self, "format_options", given_options(self.format_options))
         known = registry.find(self.output)
         if known is not None and chooses_packing(self.goal, known):
@@ -128,6 +131,22 @@ class Request:
         for name in ("block", "sh_degree"):
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, int(value))
+
+    def _refuse_files_in_output(self) -> None:
+        """Refuse a place for the files of a job that is the output, or inside it."""
+        if self.scratch == "":
+            raise OptionError("`scratch` is empty; name a folder or URL, or leave it out.")
+        if self.output == Path() or isinstance(self.output, Address):  # not known yet, or a URL
+            return
+        for name in ("job", "scratch"):
+            place = getattr(self, name)
+            if place is None or is_url(str(place)):
+                continue
+            if Path(os.path.realpath(place)).is_relative_to(os.path.realpath(self.output)):
+                raise OptionError(
+                    f"{place} is the output or in it, so it cannot hold the files of the job; name"
+                    f" another folder with `{name}`."
+                )
 
     @property
     def goals(self) -> tuple[Goal, ...]:
