@@ -172,6 +172,16 @@ def test_a_block_that_has_more_splats_at_a_coarser_level_is_noted(scene, tmp_pat
     assert sum(note.startswith(said) for note in manifest.notes) == 1
 
 
+@pytest.mark.parametrize("block", [None, 700])
+def test_the_little_that_is_left_of_a_fit_is_noted(scene, tmp_path, block):
+    fitted = {"preset": "default", "views": 4, "view_size": 64, "block": block}
+    for steps in (2, 0):
+        out = tmp_path / f"{steps}.rad"
+        manifest, _ = write(scene, out, (1, 0.5), steps=steps, **fitted)
+        found = [note for note in manifest.notes if "little of the fit of the preset 'def" in note]
+        assert len(found) == (1 if steps else 0)
+
+
 def test_bytes_are_the_same_for_any_number_of_threads_and_workers(scene, tree_in_blocks, tmp_path):
     from concurrent.futures import ThreadPoolExecutor
 

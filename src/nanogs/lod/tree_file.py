@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from nanogs.block_layouts import BlockTree
@@ -122,15 +122,15 @@ class TreeFilling(OpenSink):
         ]
         files = [(self._making, level) for level in range(len(self.written))]
         self.measure(judge, files, lambda _level, deviation: tree_pixel(deviation))
-        made = describe_levels(self._source, reports, self.written)
-        if not any(report.refit for report in reports):
-            return made
-        note = (
-            "Inner splats of the tree are made anew, so that they fit each other, and little of the"
-            f" fit of the preset {made.preset!r} is left in them; without it, `steps=0`, the tree"
-            " takes less time."
-        )
-        return replace(made, notes=(*made.notes, note))
+        if any(report.refit for report in reports):
+            note = (
+                "Inner splats of the tree are made anew, so that they fit each other, and little of"
+                f" the fit of the preset {reports[0].preset!r} is left in them; without it,"
+                " `steps=0`, the tree takes less time."
+            )
+            first = self.written[0]
+            self.written[0] = first._replace(notes=[*first.notes, note])
+        return describe_levels(self._source, reports, self.written)
 
     def _write(self) -> int:
         """Write the file and return its number of rows."""
