@@ -60,7 +60,7 @@ def move_folder(folder: Path, path: Path, ours: Ours, *, overwrite: bool = False
             _take_place(folder, target, ours)
         return
     with atomic_folder(path, ours, overwrite=overwrite) as made:
-        # `shutil.copytree` would go on after an error, and raise a list of all.
+        # File by file: copying the tree at once goes on after an error, and raises a list of all.
         for name in _contents(folder):
             (made / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(folder / name, made / name)
