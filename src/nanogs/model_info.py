@@ -9,6 +9,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.findings import join_findings
+from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo, registry
 from nanogs.io import open as open_model
 from nanogs.io.collect import model_in
@@ -80,6 +81,19 @@ class ModelInfo:
         data = asdict(self)
         file = data.pop("file")
         return {**file, "path": str(file["path"]), **data}
+
+    def __repr__(self) -> str:
+        file = self.file
+        low_high = " to ".join(" ".join(f"{v:.4g}" for v in corner) for corner in self.bounds)
+        parts = (
+            str(file.path),
+            f"{file.format}, {bytes_text(file.file_bytes)}",
+            counted(file.splats, "splat"),
+            f"SH degree {file.sh_degree}",
+            f"render mode {file.render_mode}",
+            f"bounds {low_high}" if low_high else "no bounds",
+        )
+        return f"ModelInfo({'; '.join(parts)})"  # all fields fill a notebook's screen
 
 
 def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelInfo:

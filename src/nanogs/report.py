@@ -292,6 +292,9 @@ class SimplifyReport:
         text = ", ".join([counts, *measures(self), time_text(self.total_seconds)])
         return text if self.stop.met else f"{text}. {stop_text(self)}"
 
+    def __repr__(self) -> str:
+        return f"SimplifyReport({self})"  # all fields fill a notebook's screen
+
 
 def measures(report: SimplifyReport) -> list[str]:
     """Return a text for each measurement: quality, loss by packing, and cost of drawing."""

@@ -4,6 +4,8 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
+from nanogs.formatting import counted, time_text
+
 
 class RefitStop(StrEnum):
     """The reason why a refit stopped."""
@@ -108,3 +110,11 @@ class RefitReport:
     def to_dict(self) -> dict[str, Any]:
         """Convert to plain dictionaries, lists, numbers and strings."""
         return asdict(self)
+
+    def __str__(self) -> str:
+        """Return one line: the counts, the improvement, why it stopped, and the time."""
+        counts = f"{counted(self.count, 'splat')} fitted to {self.original_count:,}"
+        return f"{counts}, {self.text}, {time_text(self.total_seconds)}"
+
+    def __repr__(self) -> str:
+        return f"RefitReport({self})"  # all fields fill a notebook's screen
