@@ -23,10 +23,9 @@ def checked_mode(render_mode: str | None) -> RenderMode | None:
     """
     if render_mode is None or render_mode in ASKED:
         return None if render_mode is None else RenderMode(render_mode)
-    raise OptionError(
-        f'`render_mode` must be "default" or "mip", not {render_mode!r}: 2dgs is not another way to'
-        " draw a model, but another kind of model."
-    )
+    reason = ": it is not another way to draw a model, but another kind of model"
+    why = reason if render_mode == RenderMode.SURFEL else ""
+    raise OptionError(f'`render_mode` must be "default" or "mip", not {render_mode!r}{why}.')
 
 
 def retagged(file: FileSource, render_mode: str | None) -> FileSource:
