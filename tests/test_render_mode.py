@@ -317,7 +317,7 @@ def test_bench_methods_get_the_model_in_the_requested_render_mode(models, tmp_pa
 
 
 def test_only_2dgs_is_explained_as_another_kind_of_model(models):
-    refused = "`render_mode` must be \"default\" or \"mip\", not "
+    refused = '`render_mode` must be "default" or "mip", not '
     for mode, why in (("2dgs", ": it is not another way to draw a model,"), ("mpi", r"\.$")):
         with pytest.raises(OptionError, match=f"^{refused}'{mode}'{why}"):
             nanogs.open(models[0], render_mode=mode)

@@ -58,7 +58,8 @@ def render(
     from nanogs.io import open as open_model
     from nanogs.io.url_files import refuse_address
 
-    count = views or (1 if _is_picture(target) else 8)
+    one = _is_picture(target)  # refuses names of other formats, whatever the number of views
+    count = views or (1 if one else 8)
     width, height = options.parse_pixels(_PIXELS if pixels is None else pixels)
     refuse_beside_file(cameras, {"--views": views, "--pixels": pixels, "--up": up})
     if transparent and background is not None:
