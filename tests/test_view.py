@@ -337,6 +337,11 @@ def test_a_report_says_how_its_interactive_part_differs_from_the_models(tmp_path
     expected = [f"{name}, in 3D: {note}" for name in "ab" for note in packed.notes]
     assert list(told.notes) == [*plain.notes, *expected]
     assert "b, in 3D: 3 splats farther" in written
+    # Not as if a .spz had been asked for.
+    assert (
+        "b, in 3D: 5 splats have base colours outside ±3.33, the range of .spz, in which" in written
+    )
+    assert nanogs.info(tmp_path / "a.ply").losses[".html"] == packed.notes[1:]
 
 
 def test_pages_show_names_that_are_not_utf8(files, tmp_path):

@@ -10,6 +10,7 @@ from nanogs.io.format import Format, unread
 from nanogs.splats import RenderMode, Splats
 
 SUFFIX = ".html"
+RANGE_OF = ".spz, in which pages show models"  # whose range clamps values, for messages
 _MAX_DEGREE = 3  # highest SH degree that the viewer draws
 
 
@@ -78,7 +79,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
     found = limits.left_out(splats, SUFFIX, max_degree=_MAX_DEGREE)
     found += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)
     # The page holds an .spz in units of its own, in which the other ranges have this distance.
-    return (*found, *clamped_colours(splats.with_sh_degree(_MAX_DEGREE)))
+    return (*found, *clamped_colours(splats.with_sh_degree(_MAX_DEGREE), RANGE_OF))
 
 
 FORMATS = (

@@ -18,6 +18,7 @@ from nanogs._types import F64, F
 from nanogs.errors import ModelError
 from nanogs.formatting import counted, undrawn
 from nanogs.io import load
+from nanogs.io.html import RANGE_OF
 from nanogs.io.spz import write as spz_write
 from nanogs.io.spz.packing import BEST
 from nanogs.io.spz.read import SCALE_LOW
@@ -77,7 +78,7 @@ def pack(splats: Splats, start: Opening, *, quick: bool = False) -> Packed:
     file = io.BytesIO()
     spz_write.write(placed, file, gzip_level=_QUICK if quick else BEST)
     mip = splats.render_mode is RenderMode.MIP
-    return Packed(file.getvalue(), mip, (*notes, *spz_write.losses(placed)))
+    return Packed(file.getvalue(), mip, (*notes, *spz_write.losses(placed, range_of=RANGE_OF)))
 
 
 def unpack(packed: Packed, start: Opening) -> Splats:

@@ -210,13 +210,16 @@ def usual_version(bits: int = MOST_BITS, *, stating: bool = False) -> int:
     return DEFAULT_VERSION if bits == MOST_BITS else VERSION_SHORT_ROTATIONS
 
 
-def losses(splats: Splats, *, records: bool = True, suffix: str = SUFFIX) -> tuple[str, ...]:
+def losses(
+    splats: Splats, *, records: bool = True, suffix: str = SUFFIX, range_of: str = SUFFIX
+) -> tuple[str, ...]:
     """Name what the file leaves out or clamps, or why it is refused, one sentence each.
 
     Args:
         splats: The model.
         records: Whether its extension records go into the file.
         suffix: Name of the format in the sentences, if it contains this one.
+        range_of: What has the range to which values are clamped, in the sentences.
     """
     step = 0.5 / SCALE_STEPS
     low, high = SCALE_LOW, SCALE_LOW + 255 / SCALE_STEPS
@@ -229,9 +232,9 @@ def losses(splats: Splats, *, records: bool = True, suffix: str = SUFFIX) -> tup
     out += limits.lost_mode(splats, suffix, RenderMode.MIP)
     out += limits.clamped(
         (scales < low - step) | (scales > high + step),
-        f"log-scales outside {low:g} to {high:.2f}, the range of {SUFFIX}",
+        f"log-scales outside {low:g} to {high:.2f}, the range of {range_of}",
     )
-    out += clamped_colours(splats)
+    out += clamped_colours(splats, range_of)
     bits = _bits(_reach([splats]))
     if 0 <= bits < USUAL_FRACTION_BITS:
         text = "Centres are rounded to 1/{}, because the scene is so large."
@@ -239,18 +242,18 @@ def losses(splats: Splats, *, records: bool = True, suffix: str = SUFFIX) -> tup
     return tuple(out)
 
 
-def clamped_colours(splats: Splats) -> list[str]:
-    """Return a sentence each if base colours, or higher SH coefficients, are clamped."""
+def clamped_colours(splats: Splats, range_of: str = SUFFIX) -> list[str]:
+    """Return a sentence each if base colours, or higher SH coefficients, are clamped to a range."""
     colours, rest = splats.sh[:, 0], splats.sh[:, 1:]
     widest = 0.5 / COLOUR_SCALE
     half = (_buckets(splats.sh_degree, SH_BITS) / 2 / SH_STEPS)[:, None]
     out = limits.clamped(
         np.abs(colours) > widest * (1 + 1 / 255),
-        f"base colours outside ±{widest:.2f}, the range of {SUFFIX}",
+        f"base colours outside ±{widest:.2f}, the range of {range_of}",
     )
     return out + limits.clamped(
         (rest < -1 - half) | (rest > 1 - 1 / SH_STEPS + half),
-        f"higher SH coefficients outside ±1, the range of {SUFFIX}",
+        f"higher SH coefficients outside ±1, the range of {range_of}",
     )
 
 
