@@ -2,6 +2,7 @@
 
 import os
 import zipfile
+import zlib
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from nanogs.io.urls import Address
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
+_SPZ = b"NGSP"
 _HEAD_BYTES = 8  # bytes at the start of a file from which the format is detected
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
 LEVEL_LIST = "levels.json"  # the list of levels in a folder with one file for each
@@ -63,6 +65,43 @@ def sniff(path: Path) -> str | None:
         (k for k in formats() if k.zip_member in depths), key=lambda k: depths[k.zip_member]
     )
     return next((known.suffix for known in (*held, *by_magic)), None)
+
+
+def refuse_misnamed(path: Path, known: Format, error: FormatError) -> None:
+    """Refuse a file that could not be opened because it is one of another format.
+
+    Args:
+        path: The file.
+        known: The format that its name states.
+        error: Why it could not be opened.
+
+    Raises:
+        FormatError: Its first bytes are those of another format.
+    """
+    try:
+        found = sniff(path)
+        unclear = found == ".spz" and not _holds_spz(path)
+    except OSError:
+        return
+    other = next((each for each in formats() if each.suffix == found), None)
+    if other is None or other.open is known.open or unclear:
+        return
+    raise FormatError(
+        f"{path} begins like a {found} file, so it is no {known.suffix} file; give it the suffix"
+        f" {found}."
+    ) from error
+
+
+def _holds_spz(path: Path) -> bool:
+    """Return whether a file with the first bytes of `.spz` is one: others are gzip files too."""
+    with path.open("rb") as file:
+        start = file.read(1 << 10)
+    if start.startswith(_SPZ):
+        return True
+    try:
+        return zlib.decompressobj(wbits=31).decompress(start, len(_SPZ)) == _SPZ
+    except zlib.error:
+        return False
 
 
 def _zipped(path: Path) -> dict[str, int]:

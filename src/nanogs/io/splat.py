@@ -15,7 +15,7 @@ from nanogs.errors import FormatError
 from nanogs.findings import negative_scales
 from nanogs.formatting import counted
 from nanogs.io import activated, limits
-from nanogs.io.files import input_size
+from nanogs.io.files import input_size, reading
 from nanogs.io.format import Format
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import FileSource, row_blocks
@@ -24,6 +24,8 @@ from nanogs.splats import Splats, empty_arrays
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _SUFFIX = ".splat"
+_OTHERS = (b"ply\n", b"ply\r", b"PK\x03\x04")
+_GZIP = b"\x1f\x8b\x08"  # and a byte of flags
 _BYTE_SLACK = 1 / 64  # largest error of a unit quaternion's length after rounding to four bytes
 _PROPERTIES = (("position", "float"), ("scale", "float"), ("rgba", "uchar"), ("rotation", "uchar"))
 
@@ -72,6 +74,15 @@ def _decode(rows: Array, out: dict[str, Any], span: slice) -> int:
 
 def _count(path: Path) -> int:
     rows, rest = divmod(input_size(path), _ROW.itemsize)
+    with reading(path) as file:
+        start = file.read(4)
+    # Of any length, a file of another format would be read as splats. The first coordinate would be
+    # less than 1e-19 and not 0.
+    if start.startswith(_OTHERS) or (start.startswith(_GZIP) and start[3:4] < b"\x20"):
+        raise FormatError(
+            f"{path} begins like a file of another format, so it is no .splat file; give it the"
+            " suffix of its real format."
+        )
     if rest:
         raise FormatError(
             f"{path}: {counted(rest, 'byte follows', 'bytes follow')} row {rows:,} of"
