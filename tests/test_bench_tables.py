@@ -203,6 +203,14 @@ def test_a_plot_is_drawn_even_without_results(rows):
     assert ("against the original model, mean over scenes" in texts) == bool(rows)
 
 
+def test_a_plot_says_if_its_means_are_of_different_scenes():
+    rows = [row(scene, method, ratio) for scene in "ab" for method in "xy" for ratio in (0.1, 0.01)]
+    assert "means of" not in plot(rows)
+    assert "compaction ratio; means of 2 scenes at 0.01, 1 scene at 0.1<" in plot(
+        [one for one in rows if (one.scene, one.method, one.ratio) != ("b", "y", 0.1)]
+    )
+
+
 # The published table
 
 
