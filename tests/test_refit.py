@@ -682,6 +682,14 @@ def test_given_cameras_are_reduced_and_split_for_validation():
     assert report.notes == ()
 
 
+def test_swapped_models_are_noted():
+    original, small = cloud_pair()
+    _, report = refit(small, original, parameters=QUICK)
+    assert report.notes[0].startswith(
+        f"The original has {len(small)} splats, fewer than the {len(original)} of the model that"
+    )
+
+
 def test_views_that_see_no_splats_are_left_out_and_noted():
     original, small = cloud_pair()
     cameras = automatic_cameras(original, 5, width=64, height=64)

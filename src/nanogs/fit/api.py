@@ -12,7 +12,7 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import RefitReport
 from nanogs.fit.stages import refit_stages
-from nanogs.formatting import undrawn
+from nanogs.formatting import counted, undrawn
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions, given_options, shared_entries
 from nanogs.io.limits import refuse_unstorable
@@ -113,6 +113,7 @@ def refit(
         seconds=clock.seconds | report.seconds,
         total_seconds=time.perf_counter() - begin,
         notes=(
+            *_swapped(len(large), len(given)),
             *unusable,
             *lens_notes(cameras or ()),
             *unseen,
@@ -190,6 +191,17 @@ def _listed(cameras: "Sequence[Camera] | Camera") -> "list[Camera]":
         raise OptionError("`cameras` of a refit must be a list of at least two nanogs.Camera.")
     check_cameras(found)
     return found
+
+
+def _swapped(original: int, small: int) -> tuple[str, ...]:
+    """Return a note if the original has fewer splats than the model that is fitted to it."""
+    if small <= original:
+        return ()
+    note = (
+        f"The original has {counted(original, 'splat')}, fewer than the {small:,} of the model that"
+        " was fitted to it; if the two were swapped, give the original first."
+    )
+    return (note,)
 
 
 def _unusable(splats: Splats, name: str) -> tuple[str, ...]:
