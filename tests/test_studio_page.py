@@ -282,7 +282,15 @@ def test_drafts_are_shown_while_a_slider_moves(studio):
 
 @pytest.mark.parametrize(
     ("typed", "fragment"),
-    [("lots", "“lots”"), ("5,000", "300"), ("5k", "300"), ("-1", "“-1”"), ("1,5", "“1,5”")],
+    [
+        ("lots", "“lots”"),
+        ("5,000", "300"),
+        ("5k", "300"),
+        ("-1", "“-1”"),
+        ("1,5", "“1,5”"),
+        ("0.5", "“0.5” is not a whole number"),
+        ("40.5", "“40.5” is not a whole number"),
+    ],
 )
 def test_an_invalid_entry_shows_an_error_and_sends_no_request(studio, typed, fragment):
     studio.page.fill("#splats", typed)
@@ -320,6 +328,13 @@ def test_a_valid_entry_clears_the_error_of_the_one_before(studio):
             if typed == wrong:
                 assert f"“{wrong}” {reason}" in alert.inner_text()
         assert not alert.is_visible()
+
+
+def test_counts_may_have_decimals_before_a_unit(studio):
+    for number, (typed, count) in enumerate([("0.011k", 11), ("0.00024M", 240)], start=2):
+        studio.page.fill("#splats", typed)
+        studio.page.press("#splats", "Enter")
+        assert studio.choice_of_request(number)["wish"] == {"splats": count}
 
 
 def test_numbers_may_have_commas_between_thousands(studio):

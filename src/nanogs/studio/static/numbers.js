@@ -55,7 +55,8 @@ export function parsed(words) {
 // Parses a typed count such as "50,000", "50k" or "1.2 M"; NaN if it is not a number.
 export function parsedCount(words) {
   const [, bare, unit] = /^(.*?)([kmg]?)$/is.exec(words.trim());
-  return parsed(bare) * (UNITS[unit.toLowerCase()] ?? 1);
+  const value = parsed(bare) * (UNITS[unit.toLowerCase()] ?? 1);
+  return Number(value.toPrecision(12)); // 1.1 times 1,000 is 1,100.0000000000002
 }
 
 // Maps the position on a slider, 0 to 1, to a value (`at`) and back (`place`).

@@ -10,7 +10,7 @@ const USUAL = [20, 45]; // ends of the PSNR slider in dB, until points are known
 const KINDS = {
   splats: {
     words: numbers.count,
-    read: (words) => Math.round(numbers.parsedCount(words)),
+    read: numbers.parsedCount,
     tidy: Math.round,
     full: numbers.splats,
     sample: "such as 50,000",
@@ -70,7 +70,9 @@ export function makeSliders(scene, state, curve, complain) {
 
   function fault(key, kind, value, words) {
     if (!(value > 0)) return `“${words}” is not a number above 0; type one ${kind.sample}.`;
-    if (key !== "splats" || value <= limits.most) return "";
+    if (key !== "splats") return "";
+    if (!Number.isInteger(value)) return `“${words}” is not a whole number; type one ${kind.sample}.`;
+    if (value <= limits.most) return "";
     return `The scene has ${numbers.splats(limits.most)}; choose that many or fewer.`;
   }
 
