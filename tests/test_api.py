@@ -85,6 +85,14 @@ def test_every_module_can_be_imported_by_its_name(first):
     )
 
 
+def test_completion_offers_public_names_alone():
+    offered = {name for name in dir(nanogs) if not name.startswith("_")}
+    public = {name for name in nanogs.__all__ if not name.startswith("_")}
+    assert public <= offered
+    assert all(inspect.ismodule(getattr(nanogs, name)) for name in offered - public)
+    assert "import_module" not in offered
+
+
 def test_no_function_has_the_name_of_a_module():
     modules = {one.name for one in pkgutil.iter_modules(nanogs.__path__)}
     public_names = {name for name in nanogs.__all__ if not inspect.ismodule(getattr(nanogs, name))}

@@ -116,7 +116,8 @@ _MODULES = (
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_MODULES})
+    own = (name for name in globals() if name.startswith("__"))  # not what this file imports
+    return sorted({*own, *__all__, *_MODULES})
 
 
 if not TYPE_CHECKING:  # a type checker would accept any attribute name
