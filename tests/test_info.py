@@ -103,6 +103,20 @@ def test_losses_found_in_blocks_are_those_of_the_whole_model(tmp_path, small_blo
         ), suffix
 
 
+@pytest.mark.parametrize("degree", [0, 1])
+@pytest.mark.parametrize("ask", [io.losses, io.derived_options])
+def test_invalid_format_options_are_refused_as_by_save(ask, degree):
+    model = random_splats(3, degree=degree)
+    for suffix in (".spz", ".sog", ".ply"):
+        with pytest.raises(OptionError, match="There is no option 'version'"):
+            ask(model, f"a{suffix}", {"version": 2})
+        with pytest.raises(OptionError, match="Format options are a dictionary"):
+            ask(model, f"a{suffix}", [6])
+    for bits in (99, 6.0):
+        with pytest.raises(OptionError, match="`bits` must be a whole number from 4 to 8"):
+            ask(model, "a.spz", {"bits": bits})
+
+
 def test_statistics_equal_those_of_numpy(tmp_path):
     model = random_splats(20_000, degree=1)
     model.opacity_logits[:5] = np.inf

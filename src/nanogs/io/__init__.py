@@ -318,6 +318,7 @@ def derived_options(
         NanogsError: As for `save`.
     """
     known, source = registry.writable(place(path)), source_of(model)
+    registry.keywords(known, format_options)  # refuses options that the format does not have
     refuse_empty(source, known.suffix)
     found = known.derived_options(source, format_options)
     return {name: value for name, value in found.items() if format_options.get(name) is None}
@@ -339,7 +340,7 @@ def losses(
     """
     refuse_no_model(splats)
     known = registry.writable(place(path))
-    registry.keywords(known, format_options)  # refuses what are no options of the format
+    registry.keywords(known, format_options)  # refuses options that the format does not have
     if not len(splats):
         return (f"The model has no splats, {known.suffix} refuses it.",)
     if known.losses is nothing_lost:
