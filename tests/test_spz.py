@@ -412,10 +412,12 @@ def test_centres_of_large_splats_have_fewer_fraction_bits(tmp_path, size, bits):
     [
         ([0.69813573, 0.51935935, -1.9379953], [-4.4172525, -3.0270977, -2.5686061]),
         ([1.99999, 0.31234, 0.77777], [-7.0, -7.0, -7.0]),  # rounds up to a power of two
+        ([0.500001, 0.31234, 0.37777], [-9.0, -9.0, -9.0]),  # rounds down to one
+        ([2e-7, 1e-7, 0.0], [-16.0, -16.0, -16.0]),  # rounds down to zero
     ],
 )
 def test_centres_that_were_read_keep_their_fraction_bits(tmp_path, centre, log_scales):
-    """Though scales were rounded, and the extent of the scene grew a little."""
+    """Though scales were rounded, and the extent of the scene changed a little."""
     model = random_splats(1)
     model.means[:], model.log_scales[:] = centre, log_scales
     once = round_trip(model, tmp_path / "a.spz")
@@ -441,6 +443,23 @@ def test_derived_options_can_be_given_explicitly():
     assert_written_alike(model, "a.spz", most=6)
     assert io.derived_options(model, "a.spz", {"spare_bits": 0}) == {}
     assert io.derived_options(model, "a.ply", {}) == {}
+
+
+@pytest.mark.parametrize("beyond", [0, 1e-7, 7.6e-6, 8e-6, 5e-5, 2e-4])
+@pytest.mark.parametrize("given", [{}, *({"spare_bits": bits} for bits in (0, 2, 6))], ids=str)
+def test_a_scene_just_larger_than_a_power_of_two_is_written_again_unchanged(beyond, given):
+    """Its outermost centre may round down to that power, with which centres have one bit more."""
+    model = random_splats(20)
+    model.means[:] *= np.float32(0.4)
+    model.means[7, 1] = -0.5 - beyond
+    model.log_scales[:] = -6
+    options = given | io.derived_options(model, "a.spz", given)
+    once, size = io.round_trip_with_size(model, "a.spz", given)
+    assert io.round_trip_with_size(model, "a.spz", options)[1] == size
+    assert spz_write.fraction_bits(once, Precision(8, given.get("spare_bits"))) == (
+        spz_write.fraction_bits(model, Precision(8, options["spare_bits"]))
+    )
+    assert_same(once, io.round_trip(once, "a.spz", given))
 
 
 def test_more_spare_bits_than_fraction_bits_are_refused(tmp_path):

@@ -267,9 +267,7 @@ def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
         OptionError: The `spare` of `precision` exceeds the number of bits that there are.
         OutputError: A value is NaN or infinite, or a centre is too far out for 24-bit integers.
     """
-    source = source_of(model)
-    bits = _possible_bits(source)
-    spare = _spare(source, precision, bits)
+    bits, spare = _bits_and_spare(source_of(model), precision)
     if spare > bits:
         raise OptionError(
             f"`spare_bits={spare}` leaves none of the {bits} fraction bits of the centres; give"
@@ -284,18 +282,28 @@ def spare_bits(source: Source, bits: int = MOST_BITS) -> int:
     Raises:
         OutputError: As for `fraction_bits`.
     """
-    return _spare(source, Precision(bits), _possible_bits(source))
+    return _bits_and_spare(source, Precision(bits))[1]
 
 
-def _possible_bits(source: Source) -> int:
-    """Return the most fraction bits that the scene's extent allows; raises as `fraction_bits`."""
+def _bits_and_spare(source: Source, precision: Precision) -> tuple[int, int]:
+    """Return the most fraction bits that the scene's extent allows, and how many are dropped.
+
+    Raises:
+        OutputError: As for `fraction_bits`.
+    """
     reach = _reach(limits.storable(source, SUFFIX))
     if (bits := _bits(reach)) < 0:
         raise UnstorableError(
             f"A centre is {reach:g} from the origin along an axis, but {SUFFIX} ends at"
             f" {_FIXED_MAX:,}; move the model to the origin or scale it down."
         )
-    return bits
+    spare = _spare(source, precision, bits)
+    # Rounding down to a power of two makes room for one more bit. Without it, a file that is read
+    # and written again would change.
+    decoded = math.ldexp(round(math.ldexp(reach, bits - spare)), spare - bits)
+    if (more := _bits(decoded)) > bits:
+        return more, _spare(source, precision, more)
+    return bits, spare
 
 
 def _spare(source: Source, precision: Precision, bits: int) -> int:
@@ -328,7 +336,7 @@ def _bits(reach: float) -> int:
     """Return the fraction bits for an extent; negative if it is too large or not finite."""
     if not reach <= _FIXED_MAX:
         return -1
-    fraction, exponent = math.frexp(reach)
+    fraction, exponent = math.frexp(reach or math.ulp(0))  # as near as possible to zero
     exponent -= fraction == 0.5  # reach <= 2^exponent: centres may be rounded up to it
     bits = min(max(USUAL_FRACTION_BITS, _SIGNIFICANT_BITS - exponent), 23 - exponent, 20)
     return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
