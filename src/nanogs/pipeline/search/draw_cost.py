@@ -59,7 +59,7 @@ def search_share(
 
     Args:
         share_of: Measures the draw cost of the result of a count, as a share of the original's.
-        asked: The largest allowed share, above 0 and below 1.
+        asked: The largest allowed share, above 0 and at most 1.
         fewest: Smallest count that can be delivered, at least 1.
         available: Number of splats of the whole model, whose share is 1.
         guess: Count to begin with.
@@ -88,7 +88,7 @@ def search_share(
         if fits is None and over.count == fewest:
             remedy = "allow at least that"
             if probe.share > 1:  # more than can be asked for
-                remedy = "merged splats are larger, so ask for a `ratio` or a `count`"
+                remedy = "splats of the result are larger, so ask for a `ratio` or a `count`"
             raise TooSmallError(
                 f"A draw cost of {asked:.2%} is too small: {counted(fewest, 'splat')}, the fewest"
                 f" that this model can be reduced to, cost {probe.share:.2%} of the whole model;"
@@ -171,23 +171,25 @@ def search_draw_cost(
     def attempts(some: Results[T], measure: Callable[[T], float]) -> Attempts[T, float]:
         return Attempts(some, measure, lambda share: share <= asked, _measuring, COUNTS, progress)
 
-    available = results.available
+    limits = results.fewest, results.available
+    guess, power = round(results.available * asked ** (1 / POWER)), POWER
     probes: tuple[DrawProbeReport, ...] = ()
+    tried = attempts(results, share_of)
     progress.begin("search")
     if asked >= 1:
-        result, found = results.make(available, progress), Found(available, (), StopReason.TARGET)
+        # The whole model meets it, unless its format cannot hold splats as small as some are.
+        probes = (DrawProbeReport(results.available, tried(results.available)),)
+    elif results.looks:
+        quick = attempts(results.plain(rounds=0), quick_share_of)
+        near = search_share(quick, asked, *limits, guess, quick=True)
+        del quick  # frees the result that it holds
+        probes, guess, power = near.probes, near.count, near.power
+        progress.begin("deliver")
+    if tried.best is not None:
+        probes, found = (), Found(results.available, (), StopReason.TARGET)
     else:
-        limits = results.fewest, available
-        guess, power = round(available * asked ** (1 / POWER)), POWER
-        if results.looks:
-            quick = attempts(results.plain(rounds=0), quick_share_of)
-            near = search_share(quick, asked, *limits, guess, quick=True)
-            del quick  # frees the result that it holds
-            probes, guess, power = near.probes, near.count, near.power
-            progress.begin("deliver")
-        tried = attempts(results, share_of)
         found = search_share(tried, asked, *limits, guess, power)
-        result = tried.found()
+    result = tried.found()
     results.verify(result, progress)
     fields = {"draw_probes": probes + found.probes, "stop": found.stop, "cost": cost_of(result)}
     return Delivered(result, fields | {"original_cost": views.original})
