@@ -50,8 +50,6 @@ _ARGUMENTS = (
     "render_mode", "block", "job", "scratch", "resume", "executor", "patience", "chunk",
     "chunk_min", "plain", "place", "source",
 )  # fmt: skip
-# Parameters of methods that look at the original, and those that decide whether a method does.
-_GUIDING, _SWITCHES = ("hidden", "corrections"), ("guided", "steps")
 ROUND = 32  # steps in each round of the fit, about
 SEARCHED_STEPS = 84  # least steps of the fit of a result whose packing is searched for
 FORESTS: tuple[str, ...] = tuple(
@@ -71,8 +69,7 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
         overrides: Parameters by name; None leaves the preset's value.
 
     Raises:
-        OptionError: No such preset or parameter, a value out of its range, or one that would have
-            no effect.
+        OptionError: No such preset or parameter, or a value out of its range.
     """
     if not isinstance(preset, str) or preset not in PRESETS:
         meant = did_you_mean(str(preset), PRESETS)
@@ -89,23 +86,7 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
                 f"The preset {preset} has no parameter {name!r}{meant}; choose from"
                 f" {', '.join(known)}."
             )
-    chosen = dataclasses.replace(PRESETS[preset], **given)
-    _refuse_without_effect(preset, given, chosen)
-    return chosen
-
-
-def _refuse_without_effect(preset: str, given: Mapping[str, Any], chosen: Parameters) -> None:
-    """Refuse parameters that were changed but that the others leave without effect."""
-    used = {*effective(chosen), *_SWITCHES}
-    for name, value in given.items():
-        if name not in used and value != getattr(PRESETS[preset], name):
-            cause = "is fitted" if renders(chosen) else "is rendered"
-            if name in _GUIDING and renders(chosen):
-                cause = "guides the method"
-            raise OptionError(
-                f"`{name}` has no effect, because nothing {cause} with the preset {preset} here;"
-                " leave it out or choose another preset."
-            )
+    return dataclasses.replace(PRESETS[preset], **given)
 
 
 def with_longer_fit(preset: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -169,7 +150,7 @@ def effective(chosen: Parameters) -> dict[str, Any]:
     if isinstance(chosen, ForestParameters):
         values["balance"] = " or ".join(f"{balance:g}" for balance in chosen.balances)
         if not chosen.guided:
-            unused |= {*_GUIDING}
+            unused |= {"hidden", "corrections"}
         if not chosen.steps:
             unused |= {"further", "halves"}
         if not chosen.guided and not chosen.steps:
