@@ -197,6 +197,27 @@ def test_fewer_bits_are_tried_first_unless_finer_is_set():
     assert bits.ways(8) == ([7, 6, 5, 4], [])
 
 
+def test_a_smaller_palette_is_not_tried_with_fewer_bits_of_harmonics():
+    class Coarse(SyntheticModel):
+        """Where splats share by 8, harmonics of few bits make the file smaller and lose nothing."""
+
+        def bytes_of(self, packing, count):
+            saved = 5 - dict(packing.bits)["sh_bits"] if packing.share == FIRST_SHARE else 0
+            return int((1 - 0.02 * saved) * super().bytes_of(packing, count))
+
+    model = Coarse(3, SMALLER[1], 6)
+    bits = BITS | {"sh_bits": Bits(5, range(2, 9), 5, of_harmonics=True)}
+    found, _, _ = choose_packing(
+        Choices([3], palettes=True, bits=bits), SIZE, 5.0, model.guess, model.attempt, 10**9
+    )
+    tried = {(packing.share, dict(packing.bits)["sh_bits"]) for packing, _ in model.made}
+    assert (FIRST_SHARE, 5) in tried
+    assert {bits for share, bits in tried if share > FIRST_SHARE} == {5}
+    assert {dict(packing.bits)["sh_bits"] for packing, _ in model.files} >= {2, 3, 4, 5}
+    assert found.share == SMALLER[1]
+    assert dict(found.bits)["sh_bits"] >= 5
+
+
 def test_a_larger_palette_may_need_finer_bits():
     class Hiding(SyntheticModel):
         """A small palette hides the loss of coarse bits."""

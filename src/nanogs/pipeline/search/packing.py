@@ -87,11 +87,13 @@ class Bits:
         begin: The value that is tried first, mostly near the best.
         values: All values, ascending.
         unseen: The lowest value to use if nothing is rendered.
+        of_harmonics: Whether it concerns only harmonics.
     """
 
     begin: int
     values: Sequence[int]
     unseen: int
+    of_harmonics: bool = False
 
     def ways(self, present: int, *, finer: bool = False) -> tuple[list[int], list[int]]:
         """Return the other values in both directions, each list ordered away from `present`.
@@ -310,11 +312,24 @@ class _Search:
     def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
         """Try packings in order while each is better than the last, and return the best."""
         for other in others:
-            given = replace(other, bits=best.bits)
+            given = replace(other, bits=self._bits_for(other, best))
             if self._value(given) <= self._value(best):
                 break
             best = self._best(given)
         return best
+
+    def _bits_for(self, packing: Packing, best: Packing) -> _Values:
+        """Return the bits to try a packing with: about those of the best.
+
+        A smaller palette takes too few bytes for fewer bits of its harmonics to save much.
+        """
+        if packing.share is None or best.share is None or packing.share <= best.share:
+            return best.bits
+        names = self.choices.bits
+        return tuple(
+            (name, max(value, names[name].begin) if names[name].of_harmonics else value)
+            for name, value in best.bits
+        )
 
     def again(self, packing: Packing) -> Packing:
         """Return a tried packing for another result of about the same count.

@@ -7,7 +7,6 @@ from nanogs.io.format import PALETTE, Format, Sharing
 from nanogs.pipeline.estimates.memory import LEAST_BYTES
 from nanogs.pipeline.search.packing import SMALLER, Bits, Choices, Packing
 
-SH_BITS = "sh_bits"
 Options = Mapping[str, Any]
 
 
@@ -46,13 +45,16 @@ class SizeRequest(NamedTuple):
             degrees = range(highest + 1)
         bits = {
             name: Bits(
-                option.search_start, option.values, option.without_rendering or option.search_start
+                option.search_start,
+                option.values,
+                option.without_rendering or option.search_start,
+                option.of_harmonics,
             )
             for name, option in self.known.options.items()
             if option.search_start is not None and name not in self.given
         }
         if not degrees[-1]:
-            bits.pop(SH_BITS, None)
+            bits = {name: each for name, each in bits.items() if not each.of_harmonics}
         own_share = None if self.known.streams else 1.0
         return Choices(
             degrees, self._has_palettes(), bits, self.by_psnr, self._entries(), own_share
