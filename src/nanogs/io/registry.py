@@ -86,6 +86,8 @@ def refuse_misnamed(path: Path, known: Format, error: FormatError) -> None:
     other = next((each for each in formats() if each.suffix == found), None)
     if other is None or other.open is known.open or unclear:
         return
+    if other.zip_member and known.zip_member:
+        return  # a folder in a damaged archive may look like the other kind of archive
     raise FormatError(
         f"{path} begins like a {found} file, so it is no {known.suffix} file; give it the suffix"
         f" {found}."
