@@ -1,7 +1,6 @@
 """`nanogs refit`."""
 
 import time
-from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -121,11 +120,13 @@ def _refit_files(
     with shown(quiet=run.hushed) as watch, use_threads(run.threads):
         progress = Tracker(watch, _stages(original, small, target, parameters))
         progress.begin("read")
-        with clock.time("read"), ExitStack() as stack:
-            opened = (open_model(path, render_mode=mode) for path in (original, small))
-            files = [stack.enter_context(file) for file in opened]
-            reference, model = (file.load() for file in files)
-            remarks = [f"{file.name}: {remark}" for file in files for remark in file.remarks]
+        with (
+            clock.time("read"),
+            open_model(original, render_mode=mode) as large,
+            open_model(small, render_mode=mode) as given,
+        ):
+            reference, model = large.load(), given.load()
+            remarks = [f"{file.name}: {note}" for file in (large, given) for note in file.remarks]
         count = parameters.views + parameters.held
         views = fit_cameras(reference, cameras, up, count, parameters.size)
         fitted, report = library_refit(

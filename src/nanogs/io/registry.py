@@ -16,7 +16,6 @@ from nanogs.io.urls import Address
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
-_SPZ = b"NGSP"
 _HEAD_BYTES = 8  # bytes at the start of a file from which the format is detected
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
 LEVEL_LIST = "levels.json"  # the list of levels in a folder with one file for each
@@ -96,12 +95,14 @@ def refuse_misnamed(path: Path, known: Format, error: FormatError) -> None:
 
 def _holds_spz(path: Path) -> bool:
     """Return whether a file with the first bytes of `.spz` is one: others are gzip files too."""
+    from nanogs.io.spz.header import MAGIC
+
     with path.open("rb") as file:
         start = file.read(1 << 10)
-    if start.startswith(_SPZ):
+    if start.startswith(MAGIC):
         return True
     try:
-        return zlib.decompressobj(wbits=31).decompress(start, len(_SPZ)) == _SPZ
+        return zlib.decompressobj(wbits=31).decompress(start, len(MAGIC)) == MAGIC
     except zlib.error:
         return False
 

@@ -212,18 +212,22 @@ def place(given: object) -> Path:
 
 
 def _possible(path: Path) -> Path:
-    """Return a path, unless it has a character that no file's name can have.
+    """Return a path, if it can be one of a file.
 
     Raises:
-        OptionError: It has a NUL or a lone surrogate.
+        OptionError: It has a character that no file's name can have.
     """
-    try:
-        encoded = fsencode(path)
-    except UnicodeEncodeError:
-        encoded = b"\0"
-    if b"\0" in encoded:
+    if not can_be_name(str(path)):
         raise OptionError(f"{str(path)!r} cannot be the name of a file; choose another.")
     return path
+
+
+def can_be_name(text: str) -> bool:
+    """Return whether the system could name a file so: without a NUL or a lone surrogate."""
+    try:
+        return b"\0" not in fsencode(text)
+    except UnicodeEncodeError:
+        return False
 
 
 def local_path(given: object) -> Path:

@@ -134,8 +134,6 @@ class Request:
 
     def _refuse_files_in_output(self) -> None:
         """Refuse a place for the files of a job that is the output, or inside it."""
-        if self.scratch == "":
-            raise OptionError("`scratch` is empty; name a folder or URL, or leave it out.")
         if self.output == Path() or isinstance(self.output, Address):  # not known yet, or a URL
             return
         for name in ("job", "scratch"):

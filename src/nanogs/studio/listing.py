@@ -7,6 +7,7 @@ from typing import Any
 
 from nanogs.errors import OptionError
 from nanogs.io import registry
+from nanogs.io.urls import can_be_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +29,7 @@ class Folder:
         Raises:
             OptionError: It leads out of the folder, or is not a path.
         """
-        if not isinstance(text, str) or not _is_name(text):
+        if not isinstance(text, str) or "\\" in text or not can_be_name(text):
             raise OptionError("A file is named by a path relative to the folder of the studio.")
         parts = PurePosixPath(text).parts
         outside = text.startswith("/") or ".." in parts or PureWindowsPath(text).drive
@@ -69,15 +70,6 @@ class Folder:
         known = registry.find(path)
         kind = "model" if known is not None and known.readable else "file"
         return {"name": path.name, "kind": kind, "bytes": real.stat().st_size}
-
-
-def _is_name(text: str) -> bool:
-    """Return whether the system could name a file so; a page may send lone surrogates."""
-    try:
-        os.fsencode(text)
-    except UnicodeEncodeError:
-        return False
-    return "\0" not in text and "\\" not in text
 
 
 def _text(relative: Path) -> str:
