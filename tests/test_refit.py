@@ -108,6 +108,24 @@ def test_gradients_match_their_reference(seed, size):
     assert (np.abs(totals - expected).max(axis=0) < 1e-3 * scale).all()
 
 
+@pytest.mark.parametrize("entries", [1, 7, 40, 1000])
+def test_gradients_are_the_same_however_many_entries_are_held_at_a_time(entries, monkeypatch):
+    splats, camera = make_splats(30, size=-2.0), make_camera(200, 120, focal=150.0)
+    residual, precision = random_pixels(camera)
+    _, whole = gradient_sums(splats, camera, residual, precision)
+    monkeypatch.setattr("nanogs.fit.targets.ENTRIES", entries)
+    held, gather = [], backward.gather_entries
+    monkeypatch.setattr(
+        backward, "gather_entries", lambda *args: (held.append(len(args[1])), gather(*args))
+    )
+    _, found = gradient_sums(splats, camera, residual, precision)
+    assert np.array_equal(found, whole)
+    assert np.abs(whole).max() > 0
+    counts = np.diff(project(prepare(splats), camera).starts)
+    assert sum(held) == counts.sum() > 100
+    assert max(held) <= max(entries, counts.max())
+
+
 def test_pixel_errors_are_the_mean_over_black_and_white_backgrounds():
     rng = np.random.default_rng(7)
     target, image = rng.uniform(0, 1, (2, 9, 11, 4))

@@ -1,14 +1,14 @@
 """The targets of a refit: renders of the original, and a model's error and gradient on them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
-from nanogs._types import F32, F64, U8, Bool
+from nanogs._types import F32, F64, I64, U8, Bool
 from nanogs.card.device import engine_in_use
 from nanogs.kernels import backward, gradients
 from nanogs.kernels.blocks import ALL_BLOCKS, SIDE, TILE
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 # (dc² + (dc - da)²) / 2 = (dc - da / 2)² + (da / 2)².
 WHITE = 0.5  # weight of the white background; subtracted from colours before they are blended
 ALPHA = math.sqrt(3 * WHITE * (1 - WHITE))  # the fourth channel is alpha times this
+ENTRIES = 1 << 20  # splats of tiles, each counted, whose gradients are held at a time: 100 MB
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -251,20 +252,39 @@ def sum_gradients(
 ) -> F32:
     """Return the (N, 25) float32 sums of `nanogs.kernels.backward.gradient_tiles` for each splat.
 
-    The arguments are those of that kernel.
+    The arguments are those of that kernel. Entries take 25 numbers each, which would be much memory
+    if most splats are as large as the view, so runs of tiles are summed one after another.
     """
-    partial = np.empty((len(view.entries), gradients.SUMS), np.float32)
-    backward.gradient_tiles(
-        view.geometry,
-        features,
-        view.starts,
-        view.entries,
-        wanted,
-        image,
-        residual,
-        curvature_weights,
-        partial,
-    )
-    totals = np.empty((len(features), gradients.SUMS), np.float32)
-    backward.gather_entries(view.entries, partial, totals)
+    totals = np.zeros((len(features), gradients.SUMS), np.float32)
+    for tiles in _runs_of_tiles(view.starts, ENTRIES):
+        starts = view.starts[tiles.start : tiles.stop + 1]
+        partial = np.empty((starts[-1] - starts[0], gradients.SUMS), np.float32)
+        backward.gradient_tiles(
+            view.geometry,
+            features,
+            starts,
+            tiles.start,
+            view.entries,
+            wanted,
+            image,
+            residual,
+            curvature_weights,
+            partial,
+        )
+        backward.gather_entries(view.entries[starts[0] : starts[-1]], partial, totals)
     return totals
+
+
+def _runs_of_tiles(starts: I64, most: int) -> Iterator[range]:
+    """Split the tiles of an image into runs of at most `most` entries, or of one tile with more.
+
+    Args:
+        starts: (T + 1,) from `nanogs.kernels.listing.list_tiles`.
+        most: Number of entries, 1 or more.
+    """
+    first, tiles = 0, len(starts) - 1
+    while first < tiles:
+        end = int(np.searchsorted(starts, starts[first] + most, side="right")) - 1
+        last = max(end, first + 1)
+        yield range(first, last)
+        first = last

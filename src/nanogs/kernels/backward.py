@@ -128,6 +128,7 @@ def gradient_tiles(
     geometry: F64,
     features: F32,
     starts: I64,
+    first_tile: int,
     entries: I32,
     wanted: int,
     image: F32,
@@ -135,7 +136,7 @@ def gradient_tiles(
     curvature_weights: F32,
     partial: F32,
 ) -> None:
-    """Sum gradient and curvature over the pixels of each tile, for each of its splats.
+    """Sum gradient and curvature over the pixels of each of T tiles, for each of its splats.
 
     Gradients are negative ones, the direction of descent, of half the sum of squares.
 
@@ -144,16 +145,17 @@ def gradient_tiles(
         stop: The tile after its last.
         geometry: (N, 8) rows of projected splats.
         features: (N, 4) the features that were blended.
-        starts: (T + 1,) from `list_tiles`.
-        entries: (E,) from `list_tiles`.
+        starts: (T + 1,) from `list_tiles`, for these tiles.
+        first_tile: Number of the first of them in the image.
+        entries: All entries from `list_tiles`, of which E are of these tiles.
         wanted: Bit mask of the blocks of each tile whose pixels count.
         image: (H, W, 4) the result of `blend_tiles` for these.
         residual: (H, W, 4) residual of each pixel, times the pixel's weight in the sum of squares.
         curvature_weights: (H, W) that weight of each pixel, times its alpha.
-        partial: (E, 25) out, for each entry: 0 to 2 the gradient by the first three channels, 3 the
-            sum of w times the curvature weights, their curvature; 4 to 9 the gradient by ln alpha
-            times 1, p, q, p², pq, q²; 10 to 24 the curvature of ln alpha times p^a q^b for
-            a + b <= 4, b running fastest.
+        partial: (E, 25) out, for each of these E: 0 to 2 the gradient by the first three channels,
+            3 the sum of w times the curvature weights, their curvature; 4 to 9 the gradient by
+            ln alpha times 1, p, q, p², pq, q²; 10 to 24 the curvature of ln alpha times p^a q^b
+            for a + b <= 4, b running fastest.
     """
     height, width = image.shape[0], image.shape[1]
     tiles_x = (width + TILE - 1) // TILE
@@ -165,9 +167,10 @@ def gradient_tiles(
     values = np.empty((BATCH, CHANNELS), np.float32)
     marks = np.zeros(LANES, np.uint32)  # taken by `mark_blocks`, not used here
     for tile in range(start, min(stop, len(starts) - 1)):
-        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        x0 = ((first_tile + tile) % tiles_x) * TILE
+        y0 = ((first_tile + tile) // tiles_x) * TILE
         end = starts[tile + 1]
-        partial[starts[tile] : end] = np.float32(0.0)
+        partial[starts[tile] - starts[0] : end - starts[0]] = np.float32(0.0)
         start_tile(transmittances, x0, y0, width, height, wanted)
         _load_tile(image, x0, y0, behind)
         _load_tile(residual, x0, y0, change)
@@ -194,22 +197,21 @@ def gradient_tiles(
                     change,
                     tile_weights,
                     partial,
-                    first + j,
+                    first + j - starts[0],
                 )
 
 
 @parallel_kernel("totals", each=1)
 def gather_entries(start: int, stop: int, entries: I32, partial: F32, totals: F32) -> None:
-    """Add up each splat's entries in the order of the tiles.
+    """Add each splat's entries to its totals, in the order of the tiles.
 
     Args:
         start: First splat of the range.
         stop: The splat after its last.
         entries: (E,) from `list_tiles`.
         partial: (E, 25) from `gradient_tiles`.
-        totals: (N, 25) out.
+        totals: (N, 25) in and out.
     """
-    totals[start:stop] = 0.0
     for e in range(len(entries)):
         i = entries[e]
         if start <= i < stop:
