@@ -58,7 +58,7 @@ def compare(
             parser=options.parse_local,
             metavar="FOLDER",
             help="Score REF and all TESTs against the photographs of this data set "
-            "(NeRF-Synthetic or COLMAP folder).",
+            "(folder of NeRF-Synthetic, nerfstudio or COLMAP).",
             rich_help_panel=options.VIEWS,
         ),
     ] = None,

@@ -109,7 +109,7 @@ class RenderOptions:
         Path | None,
         _view(
             "Render the model in both modes, default and mip, and score both against the"
-            " photographs of this data set (NeRF-Synthetic or COLMAP folder).",
+            " photographs of this data set (folder of NeRF-Synthetic, nerfstudio or COLMAP).",
             parser=options.parse_local,
             metavar="FOLDER",
         ),

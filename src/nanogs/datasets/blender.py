@@ -1,7 +1,7 @@
 """`transforms*.json`: NeRF-Synthetic as Blender exports it, and nerfstudio's extension of it."""
 
 import math
-import posixpath
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.datasets import fields
 from nanogs.datasets.frame import Frame
+from nanogs.datasets.nerfstudio import find_change, test_images
 from nanogs.datasets.photos import find_photo, photo_size
 from nanogs.errors import FormatError
 from nanogs.raster.lens import Lens
@@ -32,6 +33,9 @@ def read_transforms(path: Path) -> list[Frame]:
     present. `cx` and `cy` default to the image's centre. Each key may be given per frame or once
     for all frames. The size is `w` and `h`; for a file without them it is the photographs' size.
 
+    If there is a `dataparser_transforms.json` beside the file, the cameras are returned in the
+    coordinates of nerfstudio's model (see `nerfstudio.find_change`).
+
     Args:
         path: The JSON file; `file_path` is relative to its folder, with or without suffix.
 
@@ -47,23 +51,39 @@ def read_transforms(path: Path) -> list[Frame]:
     shared = {key: value for key, value in document.items() if key != "frames"}
     rows = fields.entries(document.get("frames"), f"{path}, frames")
     frames = [_frame(path, index, {**shared, **row}) for index, row in enumerate(rows)]
+    change = find_change(path.parent, shared, str(path))
+    if change is not None:
+        frames = [replace(frame, camera=change.applied(frame.camera)) for frame in frames]
     fields.refuse_repeats((frame.camera.name for frame in frames), str(path), "image")
     found = (frame.photo_path for frame in frames if frame.photo_path is not None)
     fields.refuse_repeats(found, str(path), "photograph")
     return frames
 
 
+def split_transforms(path: Path) -> tuple[list[Frame], list[Frame]]:
+    """Read the frames of nerfstudio's `transforms.json`: those for training, and those for testing.
+
+    Raises:
+        FormatError: See `read_transforms` and `nerfstudio.test_images`.
+    """
+    frames = read_transforms(path)
+    names = [frame.camera.name for frame in frames]
+    held_out = test_images(names, fields.entry(fields.read_json(path), str(path)), str(path))
+    return (
+        [frame for frame in frames if frame.camera.name not in held_out],
+        [frame for frame in frames if frame.camera.name in held_out],
+    )
+
+
 def _frame(path: Path, index: int, row: dict[str, Any]) -> Frame:
     where = f"{path}, frame {index}"
-    listed = fields.text(row.get("file_path"), f"{where}, file_path")
-    photo = find_photo(path.parent, posixpath.normpath(listed))
+    listed = fields.path(row.get("file_path"), f"{where}, file_path")
+    photo = find_photo(path.parent, listed)
     lens = _lens(row, where)
     size = _size(row, where, photo)
     pose = _pose(row.get("transform_matrix"), where)
     centre = (row.get("cx", size[0] / 2), row.get("cy", size[1] / 2))
-    camera = fields.pinhole(
-        where, posixpath.normpath(listed), size, _focal(row, size, where), centre, pose, lens
-    )
+    camera = fields.pinhole(where, listed, size, _focal(row, size, where), centre, pose, lens)
     return Frame(camera, photo, masked=bool(row.get("mask_path")))
 
 

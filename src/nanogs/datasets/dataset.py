@@ -1,4 +1,4 @@
-"""Data sets of photographs with cameras: NeRF-Synthetic and COLMAP folders, and camera files."""
+"""Data sets of photographs with cameras, of NeRF-Synthetic, nerfstudio and COLMAP; camera files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Literal
 
 from nanogs._types import F32, F
-from nanogs.datasets.blender import read_transforms
+from nanogs.datasets.blender import read_transforms, split_transforms
 from nanogs.datasets.colmap import find_model, read_model, scaled
 from nanogs.datasets.fields import read_json
 from nanogs.datasets.frame import Frame
 from nanogs.datasets.inria import read_cameras_json
+from nanogs.datasets.nerfstudio import CHANGE_FILE, find_change
 from nanogs.datasets.photos import find_photo, is_file, is_transparent, photo_size, read_photo
 from nanogs.datasets.undistort import straightened, undistorted
 from nanogs.errors import FormatError, NoViewsError, OptionError
@@ -29,7 +30,8 @@ class Dataset:
     """Photographs with cameras, split into training and test views.
 
     Attributes:
-        kind: "blender" for `transforms_*.json`, "colmap" for a sparse model.
+        kind: "blender" for `transforms_*.json`, or one `transforms.json` as nerfstudio writes it;
+            "colmap" for a sparse model.
         path: The data set's folder.
         images: The folder of a COLMAP capture's photographs; None for Blender, whose camera files
             hold the photographs' paths.
@@ -41,18 +43,21 @@ class Dataset:
 
     @property
     def camera_files(self) -> list[Path]:
-        """The files that hold the cameras of both splits."""
+        """The files that decide the cameras of both splits."""
         if self.images is None:
-            files = [self.path / f"transforms_{name}.json" for name in ("test", "train")]
-            return [file for file in files if is_file(file)]
-        return sorted((_sparse(self.path) or self.path).iterdir())
+            names = ("transforms_test.json", "transforms_train.json", "transforms.json")
+            files = [self.path / name for name in names]
+        else:
+            files = sorted((_sparse(self.path) or self.path).iterdir())
+        return [file for file in (*files, self.path / CHANGE_FILE) if is_file(file)]
 
     def split(self, name: Split) -> list[Frame]:
         """Return one split's frames; only the sizes of photographs are read.
 
         COLMAP: of the images sorted by name, every 8th from the first on is a test view; intrinsics
         are scaled to the photograph's size. Blender: `transforms_test.json` or
-        `transforms_train.json` in the file's order.
+        `transforms_train.json` in the file's order, or those frames of a `transforms.json` that
+        nerfstudio tests or trains on (see `nerfstudio.test_images`).
 
         Args:
             name: "test" or "train".
@@ -114,8 +119,14 @@ class Dataset:
         return undistorted(photo, frame.taken_by, frame.camera) if frame.taken_by else photo
 
     def _blender(self, name: Split) -> list[Frame]:
-        file = self.path / f"transforms_{name}.json"
-        if not is_file(file):
+        whole, file = self.path / "transforms.json", self.path / f"transforms_{name}.json"
+        others = any(is_file(self.path / f"transforms_{each}.json") for each in ("test", "train"))
+        if is_file(file):
+            frames = read_transforms(file)
+        elif is_file(whole) and not others:
+            file, (trained, held_out) = whole, split_transforms(whole)
+            frames = held_out if name == "test" else trained
+        else:
             raise NoViewsError(
                 f"{self.path}: has no {name} split; put its cameras into {file.name}."
             )
@@ -124,11 +135,11 @@ class Dataset:
                 _straight(frame.camera, _present(frame.photo_path, file, frame.camera.name)),
                 masked=frame.masked,
             )
-            for frame in read_transforms(file)
+            for frame in frames
         ]
 
     def _colmap(self, name: Split, images: Path) -> list[Frame]:
-        cameras = read_model(_sparse(self.path) or self.path)
+        cameras = _read_sparse(_sparse(self.path) or self.path, self.path)
         held_out = name == "test"
         chosen = [
             camera for index, camera in enumerate(cameras) if (index % TEST_EVERY == 0) == held_out
@@ -139,8 +150,9 @@ class Dataset:
 def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
     """Open a data set, and detect the layout of its folder.
 
-    A folder with `sparse/0` is a COLMAP capture, one with `transforms_*.json` is NeRF-Synthetic; a
-    folder with both counts as a COLMAP capture, like in the reference trainer.
+    A folder with `sparse/0` is a COLMAP capture, one with `transforms_*.json` is NeRF-Synthetic,
+    one with a `transforms.json` alone is nerfstudio's; a folder with both kinds counts as a COLMAP
+    capture, like in the reference trainer.
 
     Args:
         path: The data set's folder.
@@ -165,8 +177,8 @@ def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
         return Dataset("colmap", folder, _image_folder(folder, images))
     if not any(is_file(folder / name) for name in _BLENDER_FILES):
         raise FormatError(
-            f"{folder}: holds neither transforms_test.json nor sparse/0 with photographs; "
-            "give the folder of a NeRF-Synthetic or COLMAP data set."
+            f"{folder}: holds neither transforms_test.json nor sparse/0 with photographs, nor a"
+            " transforms.json; give the folder of a NeRF-Synthetic, nerfstudio or COLMAP data set."
         )
     if images is not None:
         raise OptionError(
@@ -186,7 +198,8 @@ def cameras_from_file(path: str | Path) -> list[Camera]:
         All cameras, with the sizes that the file states, else with those of its photographs. Those
         of a COLMAP model are sorted by name, others are in the file's order, files in the order
         train, validation, test; a camera in several files is returned once. Lens distortion is in
-        `Camera.lens`, and renders do not include it.
+        `Camera.lens`, and renders do not include it. Beside nerfstudio's
+        `dataparser_transforms.json` they are in the coordinates of its model.
 
     Raises:
         FormatError: The file is missing or damaged, has an unknown layout, or states no size.
@@ -194,7 +207,7 @@ def cameras_from_file(path: str | Path) -> list[Camera]:
     place = Path(path)
     model = find_model(place)
     if model is not None:
-        return read_model(model)
+        return _read_sparse(model, place)
     found: list[Camera] = []
     for file in _camera_files(place):  # transforms.json may repeat the cameras of the splits
         known = set(map(_view, found))
@@ -227,6 +240,13 @@ def _from_json(file: Path) -> list[Camera]:
     if isinstance(read_json(file), list):
         return read_cameras_json(file)
     return [frame.camera for frame in read_transforms(file)]
+
+
+def _read_sparse(model: Path, folder: Path) -> list[Camera]:
+    """Read a sparse model, and move its cameras if the data set's folder says so."""
+    change = find_change(folder)
+    cameras = read_model(model)
+    return cameras if change is None else [change.applied(camera) for camera in cameras]
 
 
 def _sparse(folder: Path) -> Path | None:

@@ -4,6 +4,7 @@ Each function that takes `where`, the file and the entry in it, begins its messa
 """
 
 import json
+import posixpath
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,11 @@ def text(value: object, where: str) -> str:
     if not isinstance(value, str) or not value:
         raise FormatError(f"{where}: is {shown(value)} where a name is needed; export it again.")
     return value
+
+
+def path(value: object, where: str) -> str:
+    """Return a non-empty relative path in its shortest form, refusing anything else."""
+    return posixpath.normpath(text(value, where))
 
 
 def number(value: object, where: str, limit: float = MAX_PIXELS) -> float:

@@ -86,7 +86,7 @@ def refit(
     sharing = known.sharing_with(options)
     # Imported here because these import Numba, which `--help` must not wait for.
     from nanogs.fit.views import view_targets
-    from nanogs.raster.lens import lens_notes
+    from nanogs.raster.camera import camera_notes
     from nanogs.threads import use_threads
 
     with (
@@ -115,7 +115,7 @@ def refit(
         notes=(
             *_swapped(len(large), len(given)),
             *unusable,
-            *lens_notes(cameras or ()),
+            *camera_notes(cameras or ()),
             *unseen,
             *report.notes,
             *known.without_effect(options, fitted.sh_degree),

@@ -10,7 +10,7 @@ from nanogs._arrays import as_array
 from nanogs._types import F64
 from nanogs.errors import ModelError, OptionError
 from nanogs.ranges import is_number
-from nanogs.raster.lens import Lens
+from nanogs.raster.lens import Lens, lens_notes
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -46,6 +46,8 @@ class Camera:
         whole: Principal point, width and height of the whole picture that this view is a crop of,
             pixels; None if it is not a crop. Projections of splats are approximate near the edges
             of a picture; those in a crop are the same as in the whole picture.
+        changed_by: Name of the file by which the camera was moved to other coordinates than those
+            of the file that it was read from; empty if it was not.
 
     Raises:
         OptionError: A field has another type. Values are checked where the camera is used.
@@ -62,6 +64,7 @@ class Camera:
     near: float = NEAR
     lens: Lens | None = None
     whole: tuple[float, float, float, float] | None = None
+    changed_by: str = ""
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -78,6 +81,7 @@ class Camera:
             near: float = ...,
             lens: Lens | None = ...,
             whole: Sequence[float] | None = ...,
+            changed_by: str = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -85,8 +89,9 @@ class Camera:
         for name in ("width", "height", "fx", "fy", "cx", "cy", "near"):
             object.__setattr__(self, name, self._number(name, getattr(self, name)))
         object.__setattr__(self, "world_to_camera", self._matrix())
-        if not isinstance(self.name, str):
-            raise self._refusal("name", "text", repr(self.name))
+        for name in ("name", "changed_by"):
+            if not isinstance(getattr(self, name), str):
+                raise self._refusal(name, "text", repr(getattr(self, name)))
         if not isinstance(self.lens, Lens | None):
             raise self._refusal("lens", "a nanogs.raster.lens.Lens or None", repr(self.lens))
         if self.whole is not None:
@@ -176,6 +181,14 @@ class Camera:
             cy=self.cy - top,
             whole=self.whole or (self.cx, self.cy, self.width, self.height),
         )
+
+
+def camera_notes(cameras: Sequence[Camera]) -> list[str]:
+    """Return notes for the user on cameras of files: moved ones, and ignored lens distortion."""
+    notes = lens_notes(cameras)
+    for file in sorted({camera.changed_by for camera in cameras if camera.changed_by}):
+        notes.append(f"Cameras were moved to the coordinates of nerfstudio's model, by {file}.")
+    return notes
 
 
 def split_evenly(items: Sequence[Item], count: int) -> tuple[list[Item], list[Item]]:

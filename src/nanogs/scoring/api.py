@@ -61,9 +61,9 @@ def compare(
         up: (3,) direction of automatic views, scene units; found from the original by default.
         background: RGB in [0, 1] behind the splats; by default black, and for photographs the data
             set's own.
-        photos: Folder of a NeRF-Synthetic or COLMAP data set: all models, also the original, are
-            scored against its photographs, rendered from their cameras. Excludes the arguments of
-            automatic views.
+        photos: Folder of a NeRF-Synthetic, nerfstudio or COLMAP data set: all models, also the
+            original, are scored against its photographs, rendered from their cameras. Excludes the
+            arguments of automatic views.
         images: Folder of the photographs in a COLMAP data set.
         split: Photographs to use, "test" or "train".
         metrics: One or several further metrics: "flip", "lpips"; each needs its extra.

@@ -10,8 +10,7 @@ from nanogs.errors import OptionError
 from nanogs.formatting import counted, notes_on_views, number_text, undrawn
 from nanogs.progress import Tracker
 from nanogs.protocol import BLACK, Background, Judged, Kind, Protocol
-from nanogs.raster.camera import Camera
-from nanogs.raster.lens import lens_notes
+from nanogs.raster.camera import Camera, camera_notes
 from nanogs.raster.rendering import Rendering
 from nanogs.scoring.pictures import data_uri, error_map
 from nanogs.scoring.scores import (
@@ -179,7 +178,7 @@ def compare_models(
     first = views[0].rendering
     if first and first.skipped:
         notes.append(f"the reference: {undrawn(first.skipped)}")
-    notes += [*_differences(reference, models), *lens_notes(cameras)]
+    notes += [*_differences(reference, models), *camera_notes(cameras)]
     protocol = views_of(_cameras(views), kind, background=background)
     cost = cost_on(reference.splats, _cameras(views), protocol) if costs else None
     scores, sheets = score_models(

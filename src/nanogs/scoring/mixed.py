@@ -23,7 +23,7 @@ from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
-from nanogs.raster.lens import lens_notes
+from nanogs.raster.camera import camera_notes
 from nanogs.scoring.api import checked_names, names_of
 from nanogs.scoring.view_sets import ComparedViews, Pixels, compared_views
 from nanogs.views.cameras import Cameras
@@ -164,7 +164,7 @@ def compare_mixed(
                 ready, found.cameras, background, tracker.part, depth=False
             )
             del ready
-            notes += [*found.notes, *lens_notes(found.cameras)]
+            notes += [*found.notes, *camera_notes(found.cameras)]
             notes += notes_on_views(empty, "nothing of the original is visible; left out")
             cameras = [view.camera for view in seen]
             protocol = views_of(cameras, found.kind, background=background)

@@ -19,7 +19,7 @@ from nanogs.io.models import Model, opened
 from nanogs.progress import PartProgress, Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Protocol, plain_background
 from nanogs.quantities import as_bytes
-from nanogs.raster.lens import lens_notes
+from nanogs.raster.camera import camera_notes
 from nanogs.scoring.view_sets import refuse_beside_views
 from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats
@@ -121,7 +121,8 @@ def mode_evidence(
     Args:
         model: The model, or a path.
         cameras: As for `render`; without effect if photographs are given.
-        photos: Folder of a NeRF-Synthetic or COLMAP data set, to compare with its photographs.
+        photos: Folder of a NeRF-Synthetic, nerfstudio or COLMAP data set, to compare with its
+            photographs.
         images: Folder of the photographs in a COLMAP data set.
         split: Photographs to use, "test" or "train".
         background: RGB in [0, 1] behind the splats; by default black, and for photographs the data
@@ -212,6 +213,8 @@ def render_findings(
                 chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
             else:
                 chosen, kind = wanted, "photographs" if frames else "given"
+            if not frames:  # photographs have notes of their own
+                notes = tuple(camera_notes(chosen))
             tracker.begin("render")
             protocol = views_of(chosen, kind, split if frames else "test", behind)
             truth = [view.image for view in frames]  # decoded here
@@ -221,7 +224,7 @@ def render_findings(
                 tracker.begin("cover")
                 cost = cost_on(some, chosen, protocol, tracker.part)
         tracker.finish()
-    return RenderFindings(modes, cost, (*lens_notes(chosen), *notes))
+    return RenderFindings(modes, cost, notes)
 
 
 def evidence_on(

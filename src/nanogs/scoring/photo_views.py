@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, overload
 
 from nanogs.formatting import counted
 from nanogs.protocol import Background
-from nanogs.raster.camera import Camera
+from nanogs.raster.camera import Camera, camera_notes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,11 +43,11 @@ class PhotoViews(Sequence["ReferenceView"]):
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks that matter for reading the numbers."""
-        masked = sum(frame.masked for frame in self._frames)
-        if not masked:
-            return ()
-        which = f"The masks of {counted(masked, 'photograph')} (mask_path)"
-        return (f"{which} are ignored: pixels left out of training count.",)
+        notes = camera_notes(self.cameras)
+        if masked := sum(frame.masked for frame in self._frames):
+            which = f"The masks of {counted(masked, 'photograph')} (mask_path)"
+            notes.append(f"{which} are ignored: pixels left out of training count.")
+        return tuple(notes)
 
     def __len__(self) -> int:
         return len(self._frames)

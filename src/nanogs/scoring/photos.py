@@ -14,7 +14,7 @@ def photographs(
     """Open the photographs of a data set's split; only their sizes are read.
 
     Args:
-        folder: NeRF-Synthetic or COLMAP data set.
+        folder: NeRF-Synthetic, nerfstudio or COLMAP data set.
         images: Folder of the photographs in a COLMAP data set.
         split: "test" or "train".
         background: RGB in [0, 1] behind transparent parts; None for the data set's own.

@@ -22,7 +22,7 @@ from nanogs.splats import Splats
 from nanogs.views import inside, orbit
 from nanogs.views.heading import seen_from, without_surroundings
 from nanogs.views.occupancy import Core, SplatSample, find_core, sample
-from nanogs.views.up import detect_up
+from nanogs.views.up import detect_up, stated_up
 from nanogs.views.up_frame import ALL_AROUND, UPRIGHT, frame_from_model, frame_from_up
 
 Kind = Literal["auto", "orbit", "inside"]
@@ -85,9 +85,10 @@ def automatic_cameras(
         height: Height of the images, in pixels.
         kind: `orbit` or `inside`, or `auto` to let the model decide.
         up: (3,) up direction in scene coordinates, of any length; by default away from the ground
-            that the model stands on if it is clear, else (0, -1, 0) (see `up.detect_up`).
-        habit: Without `up`, whether to search for it along the axes only, with (0, -1, 0) if
-            nothing is clear, as for images to look at. If False, the model alone decides, in any
+            that the model stands on if it is clear, else z if its comments state that it is
+            vertical, else (0, -1, 0) (see `up.detect_up`).
+        habit: Without `up`, whether to search for it along the axes only, with the usual direction
+            if nothing is clear, as for images to look at. If False, the model alone decides, in any
             direction, and cameras are placed all around it if nothing is clear: turning any model
             then turns its cameras (see `up_frame.frame_from_model`).
         fov: Field of view along the longer side, in degrees; by default 50 around and 75 inside.
@@ -169,8 +170,9 @@ def survey(
     if given is not None:
         camera_frame = frame_from_up(without_surroundings(sampled), given)
     elif habit:
+        usual = stated_up(model.comments if isinstance(model, Splats) else model.columns.comments)
         camera_frame = frame_from_up(
-            without_surroundings(sampled), detect_up(sampled, find_core(sampled))
+            without_surroundings(sampled), detect_up(sampled, find_core(sampled), usual)
         )
     else:
         camera_frame = frame_from_model(sampled, room=kind != "orbit")

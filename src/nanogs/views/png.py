@@ -14,9 +14,8 @@ from nanogs.io.folder import atomic_folder
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK
 from nanogs.ranges import one_or_several
-from nanogs.raster.camera import Camera
+from nanogs.raster.camera import Camera, camera_notes
 from nanogs.raster.images import color_image, depth_image
-from nanogs.raster.lens import lens_notes
 from nanogs.raster.rendering import Rendering
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -84,7 +83,7 @@ def render_images(
         notes = _write(shown, files, place, transparent=transparent, overwrite=overwrite)
     tracker.finish()
     notes += _left(before, written, folder)
-    return [str(folder / name) for name in written], [*lens_notes(cameras), *notes]
+    return [str(folder / name) for name in written], [*camera_notes(cameras), *notes]
 
 
 def _pictures(folder: Path) -> set[str]:

@@ -1,5 +1,6 @@
 """Detection of the up direction: away from the ground that the model stands on."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,22 +38,38 @@ class Surfaces:
         return float(self.areas[np.abs(self.normals @ up) > FLAT].sum())
 
 
-def detect_up(sampled: SplatSample, core: Core) -> F64:
+def stated_up(comments: Iterable[str]) -> F64 | None:
+    """Return the up direction that the comments of a .ply state, (3,) unit float64; else None.
+
+    nerfstudio states `Vertical Axis: z`, and its models have z up. Other axes say less, because
+    programs differ in whether y points up or down.
+    """
+    stated = any(comment.strip().lower() == "vertical axis: z" for comment in comments)
+    return np.array([0.0, 0.0, 1.0]) if stated else None
+
+
+def detect_up(sampled: SplatSample, core: Core, usual: F64 | None = None) -> F64:
     """Detect the up direction, (3,) unit float64: away from the model's ground.
 
     A ground is a thin and wide layer of flat-lying splats with hardly anything beneath. Only the
-    six directions of the axes are tried, and the usual one, (0, -1, 0), is kept without clear
-    evidence against it: another direction must have 1.5 times the ground area of any rival. For a
-    model upside down the only rival is the usual direction, because the walls of a room are no
-    ground. If nothing is clear, as for objects cut out of their scene, the usual direction is
-    returned. A lone wall in z is mistaken for a ground, and so is a ceiling without a floor.
+    six directions of the axes are tried, and the usual one is kept without clear evidence against
+    it: another direction must have 1.5 times the ground area of any rival. For a model upside down
+    the only rival is the usual direction, because the walls of a room are no ground. If nothing is
+    clear, as for objects cut out of their scene, the usual direction is returned. With the default,
+    a lone wall in z is mistaken for a ground, and so is a ceiling without a floor.
+
+    Args:
+        sampled: The model.
+        core: Its dense part.
+        usual: The usual direction, (3,), along an axis; (0, -1, 0) by default.
     """
     surfaces = surfaces_of(sampled, core)
-    habit = np.array(HABIT_UP)
+    habit = np.array(HABIT_UP) if usual is None else usual
     over, turned = ground(surfaces, -habit), ground(surfaces, habit)
     if over >= max(ENOUGH_OVER, LEAD * turned):
         turned, habit = over, -habit
-    sideways = np.array([(sign * axis) for axis in np.eye(3)[[0, 2]] for sign in (1.0, -1.0)])
+    level = np.eye(3)[habit == 0]
+    sideways = np.array([(sign * axis) for axis in level for sign in (1.0, -1.0)])
     grounds = np.array([ground(surfaces, up) for up in sideways])
     second, best = np.sort(grounds)[-2:]
     if best >= max(ENOUGH, LEAD * second, LEAD * turned):

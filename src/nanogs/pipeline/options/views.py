@@ -72,6 +72,8 @@ def plain_camera(camera: Camera) -> dict[str, Any]:
         plain["lens"] = asdict(camera.lens)
     if camera.whole is not None:
         plain["whole"] = list(camera.whole)
+    if camera.changed_by:
+        plain["changed_by"] = camera.changed_by
     return plain
 
 

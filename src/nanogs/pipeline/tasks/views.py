@@ -15,8 +15,7 @@ from nanogs.kernels.project import HIDDEN, unpack_box
 from nanogs.method.visibility import DECIDING
 from nanogs.pipeline.options.cameras import fit_cameras
 from nanogs.pipeline.options.views import camera_of, plain_camera
-from nanogs.raster.camera import Camera, pick_evenly
-from nanogs.raster.lens import lens_notes
+from nanogs.raster.camera import Camera, camera_notes, pick_evenly
 from nanogs.raster.rendering import PreparedSplats, project
 from nanogs.views.automatic import all_around, cameras_of, survey
 
@@ -100,7 +99,7 @@ def choose_views(scene: "Scene") -> Views:
                 around = cameras_of(all_around(analysed), numbers, SMALL, SMALL)
     except ModelError as error:
         return Views((), (), (), (f"Nothing was rendered or measured: {error}",))
-    notes = tuple(lens_notes(given))
+    notes = tuple(camera_notes(given))
     if found is not None and len(found) < wanted:
         notes = (f"Only {len(found)} of {counted(wanted, 'roaming view')} could be found.",)
     return Views(tuple(kept), tuple(further), tuple(around), notes)

@@ -1,0 +1,140 @@
+"""nerfstudio's change of coordinates, and its split into training and test photographs.
+
+Before training, nerfstudio orients, centres and scales the cameras of a data set, so that its
+models are in other coordinates than the `transforms.json`. It writes the change into the folder of
+the training run, as `dataparser_transforms.json`. Conventions are those of
+nerfstudio/data/dataparsers/nerfstudio_dataparser.py and base_dataparser.py.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nanogs._types import F64
+from nanogs.datasets import fields
+from nanogs.datasets.photos import is_file
+from nanogs.errors import FormatError
+from nanogs.raster.camera import Camera
+
+CHANGE_FILE = "dataparser_transforms.json"
+_TRAINED = 0.9  # share of the images that nerfstudio trains on by default
+_REMEDY = "copy it again from the folder of the training run"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoordinateChange:
+    """A change of coordinates, p' = scale (rotation p + shift).
+
+    Attributes:
+        rotation: (3, 3) float64, a rotation.
+        shift: (3,) float64, scene units before the change.
+        scale: Units after the change for each unit before it, more than 0.
+    """
+
+    rotation: F64
+    shift: F64
+    scale: float
+
+    def applied(self, camera: Camera) -> Camera:
+        """Return the camera that sees the changed scene as this one sees the scene."""
+        turned = camera.world_to_camera[:3, :3] @ self.rotation.T
+        pose = np.eye(4)
+        pose[:3, :3] = turned
+        pose[:3, 3] = self.scale * (camera.world_to_camera[:3, 3] - turned @ self.shift)
+        return replace(
+            camera, world_to_camera=pose, near=self.scale * camera.near, changed_by=CHANGE_FILE
+        )
+
+
+def find_change(
+    folder: Path, saved: Mapping[str, Any] | None = None, where: str = ""
+) -> CoordinateChange | None:
+    """Read the change of coordinates in a folder; None if there is none.
+
+    Args:
+        folder: The folder, which may hold a `dataparser_transforms.json`.
+        saved: Content of the `transforms.json` whose cameras are to be changed. It may itself state
+            a change from the original coordinates (`applied_transform`, `applied_scale`), which the
+            file in `folder` includes. By default cameras are in the original coordinates.
+        where: That file, for messages.
+
+    Raises:
+        FormatError: A file is damaged, or its change is not a rotation, a translation and a scale.
+    """
+    path = folder / CHANGE_FILE
+    if not is_file(path):
+        return None
+    document = fields.entry(fields.read_json(path), str(path))
+    whole = _rigid(document.get("transform"), f"{path}, transform")
+    scale = _scale(document.get("scale"), f"{path}, scale")
+    if saved is not None:
+        if "applied_transform" in saved:
+            applied = _rigid(saved["applied_transform"], f"{where}, applied_transform")
+            whole = whole @ np.linalg.inv(applied)
+        scale /= _scale(saved.get("applied_scale", 1.0), f"{where}, applied_scale")
+    return CoordinateChange(whole[:3, :3], whole[:3, 3], scale)
+
+
+def test_images(names: Sequence[str], document: Mapping[str, Any], where: str) -> set[str]:
+    """Return the names of the images of a `transforms.json` that nerfstudio does not train on.
+
+    Those in `test_filenames`, if it has a list of them, else those that are not in
+    `train_filenames`. Without lists a tenth of them, by nerfstudio's default: of the images sorted
+    by name, it trains on nine tenths, spread evenly.
+
+    Args:
+        names: The normalised `file_path` of all frames.
+        document: Content of the file.
+        where: The file, for messages.
+
+    Raises:
+        FormatError: Such a list is not a list of names, or has one that is not in `names`.
+    """
+    tested, trained = (
+        _listed(names, document.get(key), f"{where}, {key}")
+        for key in ("test_filenames", "train_filenames")
+    )
+    if tested is not None:
+        return tested
+    if trained is None:
+        ordered = sorted(names)
+        rows = np.linspace(0, len(names) - 1, math.ceil(_TRAINED * len(names)), dtype=int)
+        trained = {ordered[row] for row in rows.tolist()}
+    return set(names) - trained
+
+
+def _listed(names: Sequence[str], listed: object, where: str) -> set[str] | None:
+    if listed is None:
+        return None
+    if not isinstance(listed, list):
+        raise FormatError(
+            f"{where}: is {fields.shown(listed)} where a list is needed; export the cameras again."
+        )
+    found = {fields.path(name, where) for name in listed}
+    if missing := sorted(found - set(names)):
+        raise FormatError(
+            f"{where}: lists {missing[0]}, of which there is no frame; export the cameras again."
+        )
+    return found
+
+
+def _rigid(value: object, where: str) -> F64:
+    """Return a (4, 4) matrix of a rotation and a translation, of which three rows are given."""
+    found = np.eye(4)
+    found[:3] = fields.matrix(value, (3, 4), where)
+    rotation = found[:3, :3]
+    off = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if not (off <= fields.RIGID_TOLERANCE and np.linalg.det(rotation) > 0):
+        raise FormatError(f"{where}: is not a rotation and a translation; {_REMEDY}.")
+    return found
+
+
+def _scale(value: object, where: str) -> float:
+    scale = fields.number(value, where)
+    if not scale > 0:
+        raise FormatError(f"{where}: is {fields.shown(value)}, but must be positive; {_REMEDY}.")
+    return scale
