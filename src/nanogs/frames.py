@@ -133,6 +133,16 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
         log_scales=splats.log_scales[:, axes].copy(),
         sh=_turned(splats.sh, change),
         extras=dict(splats.extras) | _turned_normals(splats, axes, signs),
+        comments=comments_in(change, splats.comments),
+    )
+
+
+def comments_in(change: Change, comments: Sequence[str]) -> tuple[str, ...]:
+    """Return the comments of a model in another frame, without one on its vertical axis."""
+    return tuple(
+        comment
+        for comment in comments
+        if change.is_nothing or not comment.strip().lower().startswith("vertical axis")
     )
 
 

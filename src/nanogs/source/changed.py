@@ -17,7 +17,7 @@ from nanogs.filters import (
     refuse_empty,
     refuse_whole,
 )
-from nanogs.frames import change_between, change_frame
+from nanogs.frames import change_between, change_frame, comments_in
 from nanogs.source import base
 from nanogs.source.base import Source, joined_rows, refuse_no_source, span_of
 from nanogs.splats import ExtraElement, RenderMode, Splats, check_degree, refuse_misaligned
@@ -74,8 +74,10 @@ class Turned(_Mapped):
     """
 
     def __init__(self, source: Source, before: str, after: str) -> None:
-        change_between(before, after)
+        change = change_between(before, after)
         super().__init__(source, lambda rows: change_frame(rows, before, after))
+        comments = comments_in(change, self.columns.comments)
+        self.columns = replace(self.columns, comments=comments)
 
 
 def turned_source(source: Source, frames: tuple[str, str] | None) -> Source:
