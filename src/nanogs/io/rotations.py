@@ -110,7 +110,9 @@ def _rivals(quats: F64, apart: float) -> Bool:
     return np.asarray(size >= size.max(axis=1, keepdims=True) - apart)
 
 
-def minimise_rotation(splats: Splats, rounding: Rounding | None = None) -> tuple[F64, F32]:
+def minimise_rotation(
+    splats: Splats, rounding: Rounding | None = None, *, third_stays: bool = False
+) -> tuple[F64, F32]:
     """Permute and flip the axes of each splat so that its rotation angle is as small as possible.
 
     An ellipsoid has 24 equivalent descriptions, which differ in the order and the signs of its
@@ -124,6 +126,9 @@ def minimise_rotation(splats: Splats, rounding: Rounding | None = None) -> tuple
     Args:
         splats: N splats.
         rounding: How the file rounds the rotations; by default not at all.
+        third_stays: Only use the 8 descriptions in which the third axis stays the third, as 2DGS
+            needs, whose rasteriser takes it as the normal of a splat. w is still the largest
+            component, but the others may be as large.
 
     Returns:
         (N, 4) float64 rotations, unit wxyz with positive w, and (N, 3) float32 log-scales.
@@ -132,7 +137,8 @@ def minimise_rotation(splats: Splats, rounding: Rounding | None = None) -> tuple
 
     def turn(rows: slice) -> None:
         whole = unit(splats.quats[rows]).astype(np.float64)
-        quats[rows], scales[rows] = _turned(whole, splats.log_scales[rows], rounding)
+        nearest = _nearest_with_third(whole) if third_stays else _nearest_symmetry(whole)
+        quats[rows], scales[rows] = _turned(whole, nearest, splats.log_scales[rows], rounding)
 
     parallel.for_each(
         slices(len(splats)), turn
@@ -140,9 +146,17 @@ def minimise_rotation(splats: Splats, rounding: Rounding | None = None) -> tuple
     return quats, scales
 
 
-def _turned(quats: F64, log_scales: F32, rounding: Rounding | None) -> tuple[F64, F32]:
-    """Compute `minimise_rotation` for some rows of unit quaternions and log-scales."""
-    nearest = _nearest_symmetry(quats)
+def _turned(
+    quats: F64, nearest: F64, log_scales: F32, rounding: Rounding | None
+) -> tuple[F64, F32]:
+    """Compute `minimise_rotation` for some rows of unit quaternions and log-scales.
+
+    Args:
+        quats: (R, 4) unit quaternions.
+        nearest: (R, 4) the symmetry to turn each by, replaced where rows stay as they were read.
+        log_scales: (R, 3).
+        rounding: See `minimise_rotation`.
+    """
     read = _rows_read(quats, nearest, rounding) if rounding else np.empty(0, np.int64)
     nearest[read] = 1, 0, 0, 0
     w, x, y, z = (quats * nearest).T  # `turned` is the product of quats and nearest's conjugate
@@ -176,6 +190,22 @@ def _nearest_symmetry(quats: F64) -> F64:
     places = np.argsort(order, axis=1)
     signs = np.where(quats < 0, -1.0, 1.0)
     result: F64 = np.where(places < kept, signs / np.sqrt(kept), 0.0)
+    return result
+
+
+def _nearest_with_third(quats: F64) -> F64:
+    """Find the nearest of the 8 symmetries that map the third axis to itself, (N, 4).
+
+    They have one non-zero component, or two of equal magnitude: w and z, or x and y.
+    """
+    sizes = np.abs(quats)
+    pairs = [np.where(sides, sizes, 0) for sides in ((1, 0, 0, 1), (0, 1, 1, 0))]
+    alone = np.where(np.arange(4) == sizes.argmax(axis=1)[:, None], sizes, 0)
+    kept = np.stack([alone, *pairs])  # in turn, the components of the best symmetry of each kind
+    reached = kept.sum(axis=2) / np.sqrt([[1], [2], [2]])
+    best = kept[reached.argmax(axis=0), np.arange(len(quats))] > 0
+    signs = np.where(quats < 0, -1.0, 1.0)
+    result: F64 = np.where(best, signs, 0) / np.sqrt(best.sum(axis=1, keepdims=True))
     return result
 
 

@@ -224,7 +224,8 @@ def _columns(block: Splats, degree: int) -> Iterator[tuple[dict[str, Any], bytes
     yield _entry("alpha", "r8", 0.0, 1.0), by_component(opacities)
     colours = _coloured(_colours(block))
     yield colours.entry, by_component(colours.stored)
-    quats, logs = minimise_rotation(block, OCT88R8)
+    flat = block.render_mode is RenderMode.SURFEL
+    quats, logs = minimise_rotation(block, OCT88R8, third_stays=flat)
     yield _entry("scales", "ln_f16"), by_component(_halves(logs))
     yield _entry("orientation", "oct88r8"), encode_oct88r8(quats).tobytes()
     for name, (first, last) in zip(BANDS, _bands(degree), strict=False):

@@ -268,8 +268,10 @@ def _encode(
     submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
     submit("means_u.webp", _picture((codes >> 8).astype(np.uint8)))
     splats = splats.take(rows)
-    quats, log_scales = minimise_rotation(splats, _rounding(fine.rotation_step))
-    submit("quats.webp", _picture(_quats(quats, fine.rotation_step)))
+    flat = splats.render_mode is RenderMode.SURFEL
+    rounding = _rounding(fine.rotation_step)
+    quats, log_scales = minimise_rotation(splats, rounding, third_stays=flat)
+    submit("quats.webp", _picture(_quats(quats, fine.rotation_step, without_w=flat)))
     submit("scales.webp", _picture(nearest(log_scales, scales)))
     rgba = np.column_stack([nearest(splats.sh[:, 0], colours), _alphas(splats, fine.alphas)])
     submit("sh0.webp", _picture(rgba))
@@ -399,15 +401,21 @@ def _morton_order(codes: U16, groups: I64 | None) -> I64:
     return np.argsort(key, kind="stable") if groups is None else np.lexsort((key, groups))
 
 
-def _quats(quats: F64, step: int) -> U8:
+def _quats(quats: F64, step: int, *, without_w: bool) -> U8:
     """Encode wxyz quaternions, (N, 4): three smaller components, and 252 + index of the largest.
 
     A quaternion is negated where its largest component is negative.
+
+    Args:
+        quats: (N, 4) unit quaternions.
+        step: Codes of components are multiples of it.
+        without_w: Whether w is left out in any case, also where rounding made another one larger.
     """
     out = np.empty((len(quats), 4), np.uint8)
 
     def pack(rows: slice) -> None:
-        largest, small = split_quats(quats[rows])
+        left_out = np.zeros(len(quats[rows]), np.int64) if without_w else None
+        largest, small = split_quats(quats[rows], left_out)
         out[rows, :3] = _components(small, step)
         out[rows, 3] = 252 + largest
 
