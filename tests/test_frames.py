@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import nanogs
 from builders import model_bytes, random_splats
 from launch import run as run_command
+from nanogs.activations import rotations
 from nanogs.errors import ModelError, OptionError
 from nanogs.frames import FRAMES, TRAINED, Y_UP, change_between, change_frame
 from nanogs.io.registry import formats
@@ -66,6 +68,25 @@ def test_turning_there_and_back_restores_the_model(target):
     assert np.array_equal(in_two_steps.means, turned.means)
     assert np.array_equal(in_two_steps.unit_quats(), turned.unit_quats())
     assert in_two_steps.sh == pytest.approx(turned.sh, abs=1e-6)
+
+
+@pytest.mark.parametrize("target", ["rub", "ruf", "rfu", "fru", "fdr"])
+def test_the_third_axis_of_flat_splats_stays_their_normal(target):
+    splats = replace(random_splats(40, degree=1), render_mode="2dgs")
+    splats.log_scales[:, 2] = -9
+    splats.quats[0] = 0  # the identity
+    turned = change_frame(splats, "rdf", target)
+    assert np.array_equal(turned.log_scales[:, 2], splats.log_scales[:, 2])
+    matrix = change_between("rdf", target).matrix
+    axes = [rotations(each.unit_quats().astype(float)) for each in (splats, turned)]
+    along = np.einsum("ij,njk,nik->nk", matrix, *axes)  # the axes of one and of the other
+    assert np.abs(along) == pytest.approx(np.ones((40, 3)), abs=1e-5)
+    usual = change_frame(replace(splats, render_mode="default"), "rdf", target)
+    assert turned.sh == pytest.approx(usual.sh)
+    restored = change_frame(turned, target, "rdf")
+    assert np.array_equal(restored.log_scales, splats.log_scales)
+    again = rotations(restored.unit_quats().astype(float))
+    assert np.abs(np.einsum("njk,njk->nk", axes[0], again)) == pytest.approx(1, abs=1e-5)
 
 
 def half_turn(splats):

@@ -19,9 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import F32, F64, Array, F
+from nanogs.activations import quaternions
 from nanogs.errors import OptionError
 from nanogs.sh import basis
-from nanogs.splats import Splats, refuse_other
+from nanogs.splats import RenderMode, Splats, refuse_other
 
 TRAINED, Y_UP = "rdf", "rub"
 _ALONG = {"r": (0, 1), "l": (0, -1), "u": (1, 1), "d": (1, -1), "b": (2, 1), "f": (2, -1)}
@@ -108,6 +109,9 @@ def change_between(source: str, target: str) -> Change:
 def change_frame(splats: Splats, source: str, target: str) -> Splats:
     """Convert a scene to another frame; converting back restores every bit except of colours.
 
+    In models of 2DGS the third axis of a splat is its normal and stays the third. Where another
+    axis would take its place, as from y up to z up, rotations are restored up to rounding.
+
     Args:
         splats: N splats; normals are turned too, other extra columns are unchanged.
         source: The frame of the splats, such as `rdf`.
@@ -126,11 +130,14 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
     quats = splats.quats.copy()
     with np.errstate(invalid="ignore"):  # signalling NaNs would warn
         quats[:, 1:] = splats.quats[:, 1:][:, axes] * sense.astype(quats.dtype)
+    log_scales = splats.log_scales[:, axes].copy()
+    if splats.render_mode is RenderMode.SURFEL and axes[2] != 2:
+        quats, log_scales = _in_old_order(quats, change), splats.log_scales.copy()
     return replace(
         splats,
         means=change.of_means(splats.means),
         quats=quats,
-        log_scales=splats.log_scales[:, axes].copy(),
+        log_scales=log_scales,
         sh=_turned(splats.sh, change),
         extras=dict(splats.extras) | _turned_normals(splats, axes, signs),
         comments=comments_in(change, splats.comments),
@@ -154,6 +161,28 @@ def turned(splats: Splats, frames: tuple[str, str] | None) -> Splats:
 def back(frames: tuple[str, str] | None) -> tuple[str, str] | None:
     """Return the frames that a scene is turned back from and to; None if it is not turned."""
     return frames and (frames[1], frames[0])
+
+
+def _in_old_order(quats: F32, change: Change) -> F32:
+    """Return (N, 4) rotations, wxyz, in the new frame for splats whose axes keep their order.
+
+    Args:
+        quats: (N, 4) rotations in the new frame of splats whose axes are permuted as the frame's.
+        change: The change of frames. Of a mirror, the sign of the third axis is left out.
+    """
+    order = change.matrix
+    order[:, 2] *= round(np.linalg.det(order))
+    w0, x0, y0, z0 = quaternions(order[None])[0]
+    whole = np.where(quats.any(axis=1, keepdims=True), quats, (1.0, 0.0, 0.0, 0.0))
+    with np.errstate(invalid="ignore"):  # NaN and infinite rotations become NaN
+        w, x, y, z = whole.astype(np.float64).T
+        product = [
+            w * w0 - x * x0 - y * y0 - z * z0,
+            w * x0 + x * w0 + y * z0 - z * y0,
+            w * y0 - x * z0 + y * w0 + z * x0,
+            w * z0 + x * y0 - y * x0 + z * w0,
+        ]
+        return np.stack(product, axis=1).astype(np.float32)
 
 
 def _turned(sh: F32, change: Change) -> F32:
