@@ -224,15 +224,25 @@ def test_doubles_beyond_single_precision_are_counted_in_a_note(tmp_path):
     assert model.notes == ("1 value of 'scales' became infinite when converted to float32.",)
 
 
+def test_two_scales_are_those_of_flat_splats(tmp_path):
+    model = random_splats(6)
+    captured = reference_trainer(model)[0]
+    content = (*captured[:4], model.log_scales[:, :2], *captured[5:])
+    again = io.load(write_checkpoint(tmp_path / "a.pth", content))
+    assert again.render_mode == "2dgs"
+    assert np.array_equal(again.log_scales[:, :2], model.log_scales[:, :2])
+    assert (again.log_scales[:, 2] == -np.inf).all()
+    assert "two scales" in " ".join(again.notes)
+    info = io.inspect(tmp_path / "a.pth")
+    assert (info.render_mode, info.render_tag) == ("2dgs", "its two scales per splat")
+
+
 def test_checkpoints_without_usable_splats_are_refused_with_the_reason(tmp_path):
     model = random_splats(4)
     cases = {
         "no splats": {"weights": np.ones(3, np.float32)},
         "its tensors: none": [1, 2],
         r"its tensors: 0, 1\.0": (np.ones(3, np.float32), [np.ones(2, np.float32)]),
-        "flat 2DGS": reference_trainer(model)[0][:4]
-        + (model.log_scales[:, :2],)
-        + reference_trainer(model)[0][5:],
         "network": {"splats": {"means": model.means, "features": model.means}},
         "2 models": {"a": gsplat(model)["splats"], "b": gsplat(model)["splats"]},
         "not floats": {"splats": gsplat(model)["splats"] | {"means": np.ones((4, 3), np.int64)}},

@@ -12,6 +12,7 @@ import pytest
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
 from nanogs.splats import ExtraElement, RenderMode
+from part_reading import in_parts
 from plyfiles import BASE, ENCODINGS, ply, vertex
 from strategies import assert_same
 
@@ -137,6 +138,31 @@ def test_integer_colours_become_float_with_a_note(load):
     model = load(ply(("vertex", vertex(3, BASE, {"f_dc_0": "int"}))))
     assert model.sh[:, 0, 0].tolist() == [4, 8, 12]
     assert model.notes == ("1 int column became float: f_dc_0.",)
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize(
+    "comments", [(), ("SplatRenderMode: 2dgs",), ("SplatRenderMode: default",)]
+)
+def test_two_scales_are_those_of_flat_splats(load, resave, tmp_path, encoding, comments):
+    names = [name for name in BASE if name != "scale_2"]
+    columns = vertex(5, names)
+    model = load(ply(("vertex", columns), encoding=encoding, comments=comments))
+    values = {name: column for name, _, column in columns}
+    assert np.array_equal(model.log_scales[:, 0], values["scale_0"])
+    assert np.array_equal(model.log_scales[:, 1], values["scale_1"])
+    assert (model.log_scales[:, 2] == -np.inf).all()
+    assert np.array_equal(model.quats[:, 0], values["rot_0"])
+    assert model.render_mode is RenderMode.SURFEL
+    assert [note for note in model.notes if "two scales" in note]
+    info = io.inspect(tmp_path / "in.ply")
+    assert (info.render_mode, info.render_tag) == ("2dgs", "its two scales per splat")
+    with in_parts(tmp_path / "in.ply") as read:
+        assert_same(read(2, 4), model.take(slice(2, 4)))
+    data = resave(model)
+    assert b"comment SplatRenderMode: 2dgs\n" in data
+    assert b"property float scale_2\n" in data
+    assert_same(replace(load(data), comments=()), replace(model, comments=()))
 
 
 def test_extras_keep_dtype_values_and_order(load, resave):

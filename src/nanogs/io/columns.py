@@ -67,22 +67,18 @@ def sh_degree(names: Iterable[str], where: str) -> int:
     return degree
 
 
-def check_required(names: Iterable[str], where: str) -> None:
-    """Refuse a vertex element that is not one of 3D Gaussian splats.
+def scale_names(names: Iterable[str], where: str) -> tuple[str, ...]:
+    """Return the columns of the scales: three, or two if splats are flat, as 2DGS trains them.
 
     Raises:
-        FormatError: A required property is missing.
+        FormatError: A property that all splats have is missing.
     """
     present = set(names)
     missing = [name for name in REQUIRED if name not in present]
-    if missing == ["scale_2"]:
-        raise FormatError(
-            f"{where} has two scales (scale_2 is missing): flat 2DGS splats cannot be merged as"
-            " ellipsoids; export it with a third scale."
-        )
-    if missing:
+    if missing and missing != [SCALES[2]]:
         kind = "a point cloud or mesh" if len(missing) > 4 else "damaged"
         raise FormatError(
             f"{where} lacks {', '.join(missing)}: it is {kind}, not a 3D Gaussian splatting"
             " model; export the splats."
         )
+    return SCALES[:2] if missing else SCALES

@@ -11,6 +11,8 @@ from nanogs.splats import RenderMode
 _TAG = re.compile(
     r"\s*(?:splatrendermode:\s*(default|mip|2dgs)|antialiased\s+([01]))\s*", re.IGNORECASE
 )
+TWO_SCALES = "its two scales per splat"  # of 2DGS; the text for `FileInfo.render_tag`
+THIRD_SCALE = "Splats have two scales, as 2DGS trains them; the third was read as 0."
 _ANTIALIASED = {"0": RenderMode.DEFAULT, "1": RenderMode.MIP}
 
 

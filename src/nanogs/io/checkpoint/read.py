@@ -20,12 +20,13 @@ from nanogs._types import F32, Array
 from nanogs.activations import alphas, base_colour
 from nanogs.errors import FormatError, ModelError
 from nanogs.findings import became_infinite
+from nanogs.io import render_tag
 from nanogs.io.checkpoint.torch_file import TorchFile
 from nanogs.io.checkpoint.torch_pickle import Tensor
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
 from nanogs.io.texts import printable
-from nanogs.splats import MAX_SH_DEGREE, Splats
+from nanogs.splats import MAX_SH_DEGREE, RenderMode, Splats
 
 FRAME = "that of the training, as stored; nerfstudio and gsplat turn scenes to have z up by default"
 _SHAPED = ("scales", "quats", "opacities")
@@ -53,6 +54,7 @@ class Checkpoint(Whole):
         self._found = found
         for tensor in found.values():
             self._file.check(tensor)
+        flat = found["scales"].shape[1:] == (2,)
         self.info = FileInfo(
             path=path,
             format="checkpoint",
@@ -65,6 +67,8 @@ class Checkpoint(Whole):
                 (name, _KINDS.get(tensor.storage.kind, tensor.storage.kind))
                 for name, tensor in found.items()
             ),
+            render_mode=RenderMode.SURFEL if flat else RenderMode.DEFAULT,
+            render_tag=render_tag.TWO_SCALES if flat else "",
         )
 
     def load(self) -> Splats:
@@ -76,6 +80,9 @@ class Checkpoint(Whole):
             n: _floats(self.path, n, self._file.array(t), notes) for n, t in self._found.items()
         }
         count = len(arrays["means"])
+        if self.info.render_mode is RenderMode.SURFEL:
+            arrays["scales"] = np.insert(arrays["scales"], 2, -np.inf, axis=1)
+            notes.append(render_tag.THIRD_SCALE)
         try:
             return Splats(
                 means=arrays["means"],
@@ -83,6 +90,7 @@ class Checkpoint(Whole):
                 quats=arrays["quats"].astype(np.float32, copy=False),
                 opacity_logits=arrays["opacities"].astype(np.float32, copy=False).reshape(count),
                 sh=_harmonics(arrays, count),
+                render_mode=self.info.render_mode,
                 notes=notes,
             )
         except (ModelError, ValueError) as error:
@@ -109,11 +117,6 @@ def _find(path: Path, content: Any) -> tuple[dict[str, Tensor], list[str]]:  # n
         The tensors, and the names of others beside them with a value for each splat.
     """
     if captured := _captured(content):
-        if captured["scales"].shape[1:] == (2,):
-            raise FormatError(
-                f"{path} has two scales per splat: flat 2DGS splats cannot be merged as ellipsoids;"
-                " export the model with a third scale."
-            )
         return captured, []
     tensors = dict(_flatten(content, "", set()))
     models = [(found, name) for name in tensors if (found := _model(tensors, name))]

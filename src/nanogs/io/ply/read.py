@@ -21,7 +21,7 @@ from nanogs.io.ply.header import TYPE_NAMES, Element, Header, header_notes, read
 from nanogs.io.ply.rows import Block, check_body, iter_blocks, iter_span, read_element
 from nanogs.io.texts import printable
 from nanogs.slices import BLOCK_ROWS, slices
-from nanogs.splats import ExtraElement, Splats
+from nanogs.splats import ExtraElement, RenderMode, Splats
 
 _WIDE = ("f8", "i4", "u4")  # types of a centre that float32 does not hold exactly
 _PART_ROWS = BLOCK_ROWS // 4  # rows that a thread reads at once; its allocator keeps that memory
@@ -65,8 +65,10 @@ class _Ply(FileSource):
             properties=described(vertex.element),
             extras=tuple(name for name in vertex.element.names if not columns.is_known(name)),
             elements=tuple((e.name, e.count) for e in header.elements if e is not vertex.element),
-            render_mode=render_tag.render_mode(header.all_comments),
-            render_tag=render_tag.described(header.all_comments),
+            render_mode=vertex.render_mode,
+            render_tag=(
+                render_tag.TWO_SCALES if vertex.flat else render_tag.described(header.all_comments)
+            ),
             comments=header.printable_comments(),
         )
         self.columns = replace(self.info.layout, comments=tuple(header.all_comments))
@@ -181,7 +183,8 @@ class _Vertex:
         assert element is not None  # noqa: S101 - `_checked` made sure
         self.header, self.element = header, element
         where = f"{header.path}: element 'vertex'"
-        columns.check_required(element.names, where)
+        self.scales = columns.scale_names(element.names, where)
+        self.flat = len(self.scales) < 3
         self.degree = columns.sh_degree(element.names, where)
         self.codes = {prop.name: str(prop.code) for prop in element.properties}
         wide = any(self.codes[name] in _WIDE for name in columns.MEANS)
@@ -197,6 +200,8 @@ class _Vertex:
         self.log_scales = np.empty((n, 3), np.float32)
         self.quats = np.empty((n, 4), np.float32)
         self.opacity_logits = np.empty(n, np.float32)
+        if self.flat:
+            self.log_scales[:, 2] = -np.inf
         self.sh = np.empty((n, (self.degree + 1) ** 2, 3), np.float32)
         self.extras = {
             name: np.empty(n, code)
@@ -209,7 +214,7 @@ class _Vertex:
         """For each column of the file, set the array view that it is copied to."""
         self.arrays = [
             (columns.MEANS, self.means),
-            (columns.SCALES, self.log_scales),
+            (self.scales, self.log_scales[:, : len(self.scales)]),
             (columns.QUATS, self.quats),
             (columns.BASE_COLOUR, self.sh[:, 0]),
             (columns.rest_names(self.degree), self.sh[:, 1:].transpose(0, 2, 1)),
@@ -257,8 +262,14 @@ class _Vertex:
                 if lost.any():
                     self.overflowed[name, block.rows.start] = int(lost.sum())
 
+    @property
+    def render_mode(self) -> RenderMode:
+        """The render mode: that of flat splats if they are, whatever the comments state."""
+        if self.flat:
+            return RenderMode.SURFEL
+        return render_tag.render_mode(self.header.all_comments)
+
     def splats(self, elements: list[ExtraElement]) -> Splats:
-        comments = self.header.all_comments
         return Splats(
             means=self.means,
             log_scales=self.log_scales,
@@ -266,14 +277,14 @@ class _Vertex:
             opacity_logits=self.opacity_logits,
             sh=self.sh,
             extras=self.extras,
-            render_mode=render_tag.render_mode(comments),
-            comments=comments,
+            render_mode=self.render_mode,
+            comments=self.header.all_comments,
             elements=elements,
             notes=[*self._conversions(), *header_notes(self.header)],
         )
 
     def _conversions(self) -> list[str]:
-        notes: list[str] = []
+        notes = [render_tag.THIRD_SCALE] if self.flat else []
         changed = [
             name
             for name, target in self.targets.items()
