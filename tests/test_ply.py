@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from nanogs import io
+from nanogs.activations import smooth
 from nanogs.errors import FormatError, OutputError
 from nanogs.splats import ExtraElement, RenderMode
 from part_reading import in_parts
@@ -163,6 +164,65 @@ def test_two_scales_are_those_of_flat_splats(load, resave, tmp_path, encoding, c
     assert b"comment SplatRenderMode: 2dgs\n" in data
     assert b"property float scale_2\n" in data
     assert_same(replace(load(data), comments=()), replace(model, comments=()))
+
+
+SMOOTHED = (
+    "The smoothing filter of Mip-Splatting (filter_3D) was applied to scales and opacities, as"
+    " viewers need it."
+)
+
+
+def smoothing_columns():
+    """Four splats: unfiltered, filtered, nearly opaque and filtered much, and with a NaN width."""
+    widths, opacities = np.array([0, 0.3, 2.0, np.nan]), np.array([1.5, -0.7, 16.0, 0.0])
+    scales = np.log(np.array([[0.1, 0.2, 0.3], [0.5, 0.01, 0.3], [1e-3, 1e-2, 3.0], [1, 1, 1]]))
+    columns = [
+        [name, kind, values] for name, kind, values in vertex(4, [*BASE, "filter_3D", "label"])
+    ]
+    for column in columns:
+        if column[0].startswith("scale_"):
+            column[2] = scales[:, int(column[0][-1])]
+        elif column[0] in ("opacity", "filter_3D"):
+            column[2] = opacities if column[0] == "opacity" else widths
+    return columns, scales, opacities, widths
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_the_smoothing_filter_is_applied(load, resave, tmp_path, encoding):
+    columns, scales, opacities, widths = smoothing_columns()
+    model = load(ply(("vertex", columns), encoding=encoding))
+    assert SMOOTHED in model.notes
+    assert list(model.extras) == ["label"]
+    assert io.inspect(tmp_path / "in.ply").extras == ("label",)
+    # As Mip-Splatting's `save_fused_ply` computes it, in double precision.
+    before, after = np.exp(2 * scales), np.exp(2 * scales) + widths[:, None] ** 2
+    alpha = np.sqrt(before.prod(axis=1) / after.prod(axis=1)) / (1 + np.exp(-opacities))
+    np.testing.assert_allclose(model.log_scales, 0.5 * np.log(after), rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(model.opacity_logits, np.log(alpha / (1 - alpha)), rtol=2e-6)
+    assert np.array_equal(model.log_scales[0], scales[0].astype(np.float32))
+    assert model.opacity_logits[0] == np.float32(1.5)
+    with in_parts(tmp_path / "in.ply") as read:
+        assert_same(read(1, 3), model.take(slice(1, 3)))
+    again = load(resave(model))
+    assert SMOOTHED not in again.notes, "applied only once"
+    assert_same(replace(again, notes=()), replace(model, notes=()))
+
+
+def test_smoothing_keeps_the_integral_of_every_gaussian():
+    rng = np.random.default_rng(0)
+    scales, logits = rng.normal(-3, 2, (500, 3)), rng.normal(0, 8, 500)
+    smoothed, faded = scales.astype(np.float32), logits.astype(np.float32)
+    smooth(smoothed, faded, np.exp(rng.normal(-3, 2, 500)).astype(np.float32))
+    before = scales.sum(axis=1) - np.logaddexp(0, -logits)
+    after = smoothed.astype(np.float64).sum(axis=1) - np.logaddexp(0, -faded.astype(np.float64))
+    np.testing.assert_allclose(after, before, atol=2e-5)
+    assert (smoothed >= scales.astype(np.float32)).all()
+
+
+def test_a_filter_of_flat_splats_stays_a_column(load):
+    names = [name for name in BASE if name != "scale_2"]
+    model = load(ply(("vertex", vertex(3, [*names, "filter_3D"]))))
+    assert list(model.extras) == ["filter_3D"]
 
 
 def test_extras_keep_dtype_values_and_order(load, resave):

@@ -28,6 +28,27 @@ def logit(alpha: F64) -> F64:
     return result
 
 
+def smooth(log_scales: F32, logits: F32, widths: F32) -> None:
+    """Apply Mip-Splatting's 3D smoothing filter to splats, in place.
+
+    Each Gaussian is convolved with an isotropic one, and its alpha is lowered so that the integral
+    stays the same (Yu, Chen, Huang, Sattler, Geiger, "Mip-Splatting", 2024, section 4.1). Rows
+    with a width of 0 keep every bit.
+
+    Args:
+        log_scales: (N, 3) in and out.
+        logits: (N,) in and out.
+        widths: (N,) standard deviations of the filter, scene units.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):  # also rows with infinite values and NaN
+        sharp, width = log_scales.astype(np.float64), np.log(np.abs(widths.astype(np.float64)))
+        smoothed = 0.5 * np.logaddexp(2 * sharp, 2 * width[:, None])
+        log_alphas = (sharp - smoothed).sum(axis=1) - np.logaddexp(0, -logits.astype(np.float64))
+        faded = log_alphas - np.log(-np.expm1(log_alphas))
+    changed = widths != 0
+    log_scales[changed], logits[changed] = smoothed[changed], faded[changed]
+
+
 BYTE_LOGITS: F32 = logit(np.arange(256) / 255).astype(np.float32)
 """(256,) the opacity logit of each byte of formats in which 255 is alpha 1."""
 

@@ -15,6 +15,7 @@ BASE_COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
 OPACITY = "opacity"
 SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+SMOOTHING = "filter_3D"  # of Mip-Splatting and methods that follow it
 REQUIRED = (*MEANS, *BASE_COLOUR, OPACITY, *SCALES, *QUATS)
 REST = re.compile(r"f_rest_(0|[1-9][0-9]*)", re.ASCII)
 DEGREE_OF_REST = {3 * ((d + 1) ** 2 - 1): d for d in range(MAX_SH_DEGREE + 1)}

@@ -10,6 +10,7 @@ import numpy as np
 
 from nanogs import parallel
 from nanogs._types import Array
+from nanogs.activations import smooth
 from nanogs.errors import FormatError
 from nanogs.findings import became_infinite
 from nanogs.formatting import counted
@@ -63,7 +64,7 @@ class _Ply(FileSource):
             sh_degree=vertex.degree,
             double_means=vertex.means_dtype == np.float64,
             properties=described(vertex.element),
-            extras=tuple(name for name in vertex.element.names if not columns.is_known(name)),
+            extras=tuple(vertex.extras),
             elements=tuple((e.name, e.count) for e in header.elements if e is not vertex.element),
             render_mode=vertex.render_mode,
             render_tag=(
@@ -185,6 +186,7 @@ class _Vertex:
         where = f"{header.path}: element 'vertex'"
         self.scales = columns.scale_names(element.names, where)
         self.flat = len(self.scales) < 3
+        self.smoothed = columns.SMOOTHING in element.names and not self.flat
         self.degree = columns.sh_degree(element.names, where)
         self.codes = {prop.name: str(prop.code) for prop in element.properties}
         wide = any(self.codes[name] in _WIDE for name in columns.MEANS)
@@ -206,8 +208,9 @@ class _Vertex:
         self.extras = {
             name: np.empty(n, code)
             for name, code in self.codes.items()
-            if not columns.is_known(name)
+            if not columns.is_known(name) and not (self.smoothed and name == columns.SMOOTHING)
         }
+        self.widths = np.empty(n if self.smoothed else 0, np.float32)
         self._map_columns()
 
     def _map_columns(self) -> None:
@@ -222,6 +225,8 @@ class _Vertex:
         for names, array in self.arrays:
             self.targets.update(columns.by_column(names, array))
         self.targets[columns.OPACITY] = self.opacity_logits
+        if self.smoothed:
+            self.targets[columns.SMOOTHING] = self.widths
         self.targets.update(self.extras)
 
     @cached_property
@@ -270,6 +275,9 @@ class _Vertex:
         return render_tag.render_mode(self.header.all_comments)
 
     def splats(self, elements: list[ExtraElement]) -> Splats:
+        """Return the model, when all rows are there; may be called once."""
+        if self.smoothed:
+            parallel.for_each(slices(len(self.widths)), self._smooth)
         return Splats(
             means=self.means,
             log_scales=self.log_scales,
@@ -283,8 +291,16 @@ class _Vertex:
             notes=[*self._conversions(), *header_notes(self.header)],
         )
 
+    def _smooth(self, rows: slice) -> None:
+        smooth(self.log_scales[rows], self.opacity_logits[rows], self.widths[rows])
+
     def _conversions(self) -> list[str]:
         notes = [render_tag.THIRD_SCALE] if self.flat else []
+        if self.smoothed:
+            notes.append(
+                f"The smoothing filter of Mip-Splatting ({columns.SMOOTHING}) was applied to scales"
+                " and opacities, as viewers need it."
+            )
         changed = [
             name
             for name, target in self.targets.items()
