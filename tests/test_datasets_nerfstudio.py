@@ -158,6 +158,64 @@ def test_a_damaged_change_in_the_data_set_is_refused(tmp_path, applied):
         cameras_from_file(tmp_path)
 
 
+def camera_path(pose, **changes):
+    row = {"camera_to_world": pose.ravel().tolist(), "fov": 90.0, "aspect": 1.5}
+    return {
+        "camera_type": "perspective",
+        "render_height": 60,
+        "render_width": 90,
+        "camera_path": [row | changes.pop("row", {})],
+        "fps": 24,
+        "seconds": 1.0,
+        **changes,
+    }
+
+
+def test_a_camera_path_is_in_coordinates_of_the_model(tmp_path):
+    write_json(tmp_path / "dataparser_transforms.json", Training().saved())  # has no effect
+    (camera,) = cameras_from_file(
+        write_json(tmp_path / "camera_path.json", camera_path(np.array(POSE)))
+    )
+    # tan(90 degrees / 2) = 1, so the focal length is half of the height.
+    assert (camera.width, camera.height, camera.cx, camera.cy) == (90, 60, 45, 30)
+    assert (camera.fx, camera.fy) == (pytest.approx(30), pytest.approx(30))
+    np.testing.assert_allclose(camera.position, [1, 2, 3])
+    # A point one ahead (world -z), one right and one up.
+    np.testing.assert_allclose(camera.world_to_camera @ [2, 3, 2, 1], [1, -1, 1, 1])
+    assert (camera.name, camera.near, camera_notes([camera])) == ("path_000", 0.01, [])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"camera_type": "equirectangular"}, "save the path for a perspective camera"),
+        ({"render_width": None}, "render_width"),
+        ({"camera_path": []}, "a list of at least one camera"),
+        ({"row": {"fov": 0}}, "camera 0, fov: is 0, but must be between 0 and 180"),
+        ({"row": {"fov": None}}, "camera 0, fov"),
+        ({"row": {"camera_to_world": [1.0] * 15}}, "camera 0, camera_to_world"),
+        ({"row": {"camera_to_world": [1.0] * 16}}, "camera 0: its pose is not a rotation"),
+    ],
+)
+def test_damaged_camera_paths_are_refused(tmp_path, changes, message):
+    file = write_json(tmp_path / "path.json", camera_path(np.array(POSE), **changes))
+    with pytest.raises(FormatError, match=message):
+        cameras_from_file(file)
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        (Training().saved(), "a change of coordinates, but no cameras"),
+        ([{"file_path": "a.png", "transform": POSE[:3]}], "poses without focal lengths"),
+    ],
+)
+def test_files_with_a_part_of_the_cameras_say_what_is_needed(tmp_path, document, message):
+    file = write_json(tmp_path / "given.json", document)
+    with pytest.raises(FormatError, match=rf"{message}; give the transforms\.json"):
+        cameras_from_file(file)
+
+
 def photographed(folder, count, **shared):
     """Write a data set of `count` photographs, whose frames are not sorted by name."""
     frames = frames_of(random_poses(count))

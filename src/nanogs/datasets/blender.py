@@ -15,8 +15,6 @@ from nanogs.datasets.photos import find_photo, photo_size
 from nanogs.errors import FormatError
 from nanogs.raster.lens import Lens
 
-# OpenGL cameras look along -z with y up, ours along +z with y down.
-_OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])
 _MIN_ANGLE = 1e-6  # radians; smaller angles give absurd focal lengths
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _FISHEYE = "OPENCV_FISHEYE"
@@ -131,7 +129,7 @@ def _pose(value: object, where: str) -> F64:
             f"{where}: the last row of its transform_matrix is not 0 0 0 1; export the cameras"
             " again, with the matrix in row-major order."
         )
-    rotation = camera_to_world[:3, :3] * _OPENGL_TO_OPENCV  # columns are the camera's axes
+    rotation = camera_to_world[:3, :3] * fields.OPENGL_AXES  # columns are the camera's axes
     return fields.inverted(rotation, camera_to_world[:3, 3], where)
 
 

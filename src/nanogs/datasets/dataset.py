@@ -11,7 +11,12 @@ from nanogs.datasets.colmap import find_model, read_model, scaled
 from nanogs.datasets.fields import read_json
 from nanogs.datasets.frame import Frame
 from nanogs.datasets.inria import read_cameras_json
-from nanogs.datasets.nerfstudio import CHANGE_FILE, find_change
+from nanogs.datasets.nerfstudio import (
+    CHANGE_FILE,
+    find_change,
+    read_camera_path,
+    refuse_lone,
+)
 from nanogs.datasets.photos import find_photo, is_file, is_transparent, photo_size, read_photo
 from nanogs.datasets.undistort import straightened, undistorted
 from nanogs.errors import FormatError, NoViewsError, OptionError
@@ -191,8 +196,9 @@ def cameras_from_file(path: str | Path) -> list[Camera]:
     """Read cameras to render from; photographs are not needed.
 
     Args:
-        path: A `transforms*.json`, a `cameras.json` of the reference trainer, or a folder: a COLMAP
-            sparse model, a folder with one in `sparse/0`, or a folder with such JSON files.
+        path: A `transforms*.json`, a `cameras.json` of the reference trainer, a `camera_path.json`
+            of nerfstudio, or a folder: a COLMAP sparse model, a folder with one in `sparse/0`, or a
+            folder with such JSON files (but no camera path).
 
     Returns:
         All cameras, with the sizes that the file states, else with those of its photographs. Those
@@ -237,8 +243,12 @@ def _camera_files(place: Path) -> list[Path]:
 
 def _from_json(file: Path) -> list[Camera]:
     # Distinguished by content, because people rename these files.
-    if isinstance(read_json(file), list):
+    document = read_json(file)
+    refuse_lone(document, file)
+    if isinstance(document, list):
         return read_cameras_json(file)
+    if isinstance(document, dict) and "camera_path" in document:
+        return read_camera_path(file)
     return [frame.camera for frame in read_transforms(file)]
 
 

@@ -17,6 +17,8 @@ from nanogs.io.files import HEAD_BYTES, refuse_stand_in
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens
 
+# OpenGL cameras look along -z with y up, ours along +z with y down.
+OPENGL_AXES = np.array([1.0, -1.0, -1.0])
 RIGID_TOLERANCE = 1e-3  # largest entry of |RᵀR - I| that counts as rounding
 MAX_SIDE = 65_536  # pixels; larger means a damaged file, for which a renderer would allocate
 MAX_PIXELS = 1e9  # largest focal length and principal point, so that scaling stays finite

@@ -1,4 +1,4 @@
-"""nerfstudio's change of coordinates, and its split into training and test photographs.
+"""nerfstudio's change of coordinates, its test photographs, and its camera paths.
 
 Before training, nerfstudio orients, centres and scales the cameras of a data set, so that its
 models are in other coordinates than the `transforms.json`. It writes the change into the folder of
@@ -22,6 +22,7 @@ from nanogs.raster.camera import Camera
 
 CHANGE_FILE = "dataparser_transforms.json"
 _TRAINED = 0.9  # share of the images that nerfstudio trains on by default
+_NEAR = 0.01  # scene units, as nerfstudio renders splats
 _REMEDY = "copy it again from the folder of the training run"
 
 
@@ -77,6 +78,66 @@ def find_change(
             whole = whole @ np.linalg.inv(applied)
         scale /= _scale(saved.get("applied_scale", 1.0), f"{where}, applied_scale")
     return CoordinateChange(whole[:3, :3], whole[:3, 3], scale)
+
+
+def read_camera_path(path: Path) -> list[Camera]:
+    """Read a `camera_path.json`, which nerfstudio's viewer writes, in coordinates of the model.
+
+    It holds `render_width` and `render_height`, pixels, and for each camera of `camera_path` 16
+    numbers `camera_to_world`, row by row with OpenGL axes, and `fov`, the vertical field of view in
+    degrees.
+
+    Args:
+        path: The JSON file.
+
+    Raises:
+        FormatError: The file is malformed, a pose is not rigid, or the path is not for a
+            perspective camera.
+    """
+    document = fields.entry(fields.read_json(path), str(path))
+    kind = document.get("camera_type", "perspective")
+    if kind != "perspective":
+        raise FormatError(
+            f"{path}, camera_type: is {fields.shown(kind)}; save the path for a perspective camera."
+        )
+    width = fields.side(document.get("render_width"), f"{path}, render_width")
+    height = fields.side(document.get("render_height"), f"{path}, render_height")
+    rows = fields.entries(document.get("camera_path"), f"{path}, camera_path")
+    cameras = []
+    for number, row in enumerate(rows):
+        where = f"{path}, camera {number}"
+        listed = fields.matrix([row.get("camera_to_world")], (1, 16), f"{where}, camera_to_world")
+        camera_to_world = listed.reshape(4, 4)
+        pose = fields.inverted(
+            camera_to_world[:3, :3] * fields.OPENGL_AXES, camera_to_world[:3, 3], where
+        )
+        angle = fields.number(row.get("fov"), f"{where}, fov")
+        if not 0 < angle < 180:
+            raise FormatError(
+                f"{where}, fov: is {fields.shown(row['fov'])}, but must be between 0 and 180"
+                " degrees; save the path again."
+            )
+        focal = height / 2 / math.tan(math.radians(angle) / 2)
+        camera = fields.pinhole(
+            where, f"path_{number:03}", (width, height), (focal, focal), (width / 2, height / 2),
+            pose,
+        )  # fmt: skip
+        cameras.append(replace(camera, near=_NEAR))
+    return cameras
+
+
+def refuse_lone(document: object, path: Path) -> None:
+    """Refuse files of nerfstudio that say something of cameras, but lack a part of them.
+
+    Raises:
+        FormatError: The content is that of such a file.
+    """
+    beside = f"give the transforms.json of the data set, with {CHANGE_FILE} beside it"
+    if isinstance(document, dict) and {"transform", "scale"} <= document.keys():
+        raise FormatError(f"{path}: holds a change of coordinates, but no cameras; {beside}.")
+    first = document[0] if isinstance(document, list) and document else None
+    if isinstance(first, dict) and {"file_path", "transform"} <= first.keys():
+        raise FormatError(f"{path}: holds poses without focal lengths; {beside}.")
 
 
 def test_images(names: Sequence[str], document: Mapping[str, Any], where: str) -> set[str]:
