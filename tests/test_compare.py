@@ -541,6 +541,60 @@ def test_two_numbers_in_a_cell_of_the_table_stay_in_one_line(opened):
     assert cell.evaluate("cell => getComputedStyle(cell, '::before').textAlign") == "left"
 
 
+@driver_may_warn
+@pytest.mark.parametrize("width", [360, 390, 768, 1024, 1280, 1440])
+def test_each_number_is_in_one_line_with_its_label(opened, width):
+    page = opened(viewport={"width": width, "height": 800})
+    page.locator("td[data-is='splats a pixel']").evaluate_all(
+        "cells => cells.forEach((cell) => { cell.textContent = '137.6, 1,152' })"
+    )
+    heights = page.locator("td[data-is]").evaluate_all(
+        "cells => cells.map((cell) => cell.getBoundingClientRect().height)"
+    )
+    assert max(heights) < 30  # pixels; a line has 24
+
+
+@driver_may_warn
+def test_the_plot_can_be_read_on_a_phone(opened):
+    page = opened(**PHONE)
+    heights = page.locator(".plot text").evaluate_all(
+        """texts => texts.map((text) => {
+            const { b, d } = text.getScreenCTM();
+            return text.getBBox().height * Math.hypot(b, d);
+        })"""
+    )
+    assert min(heights) > 10  # pixels
+    plot = page.locator(".plot")
+    plot.focus()
+    plot.evaluate("plot => new Promise((moved) => { plot.onscroll = moved; plot.scrollBy(50, 0) })")
+    assert page.get_by_role("img", name="PSNR over splats").count() == 1
+
+
+@driver_may_warn
+def test_a_long_name_leaves_the_picture_visible(opened):
+    page = opened(**PHONE)
+    right = page.locator("#right")
+    right.evaluate("label => { label.textContent = 'a_very_long_name_'.repeat(12) }")
+    assert right.bounding_box()["height"] < page.locator("#stage").bounding_box()["height"] / 4
+
+
+@driver_may_warn
+def test_without_javascript_nothing_is_shown_that_needs_it(browser, files, tmp_path):
+    page_file = tmp_path / "page.html"
+    compare_files(
+        ("all", files / "scene.ply"), [("tenth", files / "small_0.1.ply")], views=1,
+        sizes=[(64, 64)], report=page_file, interactive=True,
+    )  # fmt: skip
+    page = browser.new_page(java_script_enabled=False)
+    page.goto(page_file.as_uri())
+    assert page.locator("table").is_visible()
+    assert not page.locator("#stage").is_visible()
+    assert not page.locator("#nanogs-load").is_visible()
+    page.locator("summary").click()
+    assert page.locator("figure img").first.is_visible()
+    page.close()
+
+
 @pytest.mark.parametrize("kept", ["b.png", "b_depth.png"])
 def test_no_picture_is_written_if_one_of_them_exists(tmp_path, kept):
     (tmp_path / kept).write_text("mine")
