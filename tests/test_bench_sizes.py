@@ -265,6 +265,29 @@ def test_the_picture_shows_the_points_in_the_colours_of_the_page():
     assert not (pixels == (0x2C, 0xA0, 0x2C)).all(axis=1).any()
 
 
+@pytest.mark.parametrize("sizes", [(59_000, 119_000), (101_000, 104_000), (2000, 9_000_000)])
+def test_the_picture_has_the_ticks_of_the_page(monkeypatch, sizes):
+    """Where only a power of ten had a label, nobody could read the other sizes."""
+    rows = rows_of("ours", (24.0, 30.0), sizes=sizes)
+    labels = []
+
+    def savefig(figure, *_args, **_options):
+        figure.draw_without_rendering()
+        [axes] = figure.axes
+        low, high = axes.get_xlim()
+        labels.extend(
+            text.get_text()
+            for text in axes.get_xticklabels(which="both")
+            if text.get_text() and low <= text.get_position()[0] <= high
+        )
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", savefig)
+    charts = SizeCharts(rows)
+    charts.png()
+    assert len(labels) > 1
+    assert all(f">{label}<" in charts.svg() for label in labels)
+
+
 def test_names_in_the_picture_are_not_read_as_formulas():
     """Matplotlib reads text between two dollar signs as a formula; these would be invalid."""
     rows = rows_of("$_$", BASE, scene="a $b_c_d$")

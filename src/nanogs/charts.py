@@ -75,6 +75,17 @@ def svg(charts: Sequence[Chart], columns: int | None = None) -> str:
     )
 
 
+def ticks(chart: Chart) -> list[float]:
+    """Return the tick values of the horizontal axis, ascending; none for a chart without points."""
+    x = [math.log10(point[0]) for line in chart.lines.values() for point in line]
+    return _marks(_axis(x, _WIDTH)) if x else []
+
+
+def tick_text(value: float) -> str:
+    """Return the label of a tick of the horizontal axis."""
+    return f"{value:,.10g}"
+
+
 def _drawn(chart: Chart) -> str:
     x = [math.log10(point[0]) for line in chart.lines.values() for point in line]
     y = [point[1] for line in chart.lines.values() for point in line]
@@ -85,8 +96,8 @@ def _drawn(chart: Chart) -> str:
         f'<g transform="translate(-50 {_HEIGHT / 2}) rotate(-90)">{_text(0, 0, "PSNR (dB)")}</g>',
         f'<path d="M0 0V{_HEIGHT}H{_WIDTH}" fill="none" stroke="#222"/>',
     ]
-    if x:
-        parts += [_mark(across.place(math.log10(value)), value) for value in _marks(across)]
+    parts += [_mark(across.place(math.log10(value)), value) for value in ticks(chart)]
+    if y:
         parts += [_rule(_HEIGHT - up.place(value), value) for value in _steps(up)]
     for number, (name, line) in enumerate(chart.lines.items()):
         places = [(across.place(math.log10(a)), _HEIGHT - up.place(b)) for a, b in sorted(line)]
@@ -102,7 +113,7 @@ def _axis(values: Sequence[float], pixels: int) -> _Axis:
 
 
 def _marks(axis: _Axis) -> list[float]:
-    """Choose tick values for a logarithmic axis.
+    """Choose tick values for a logarithmic axis, ascending.
 
     Powers of ten; on a short axis 2 and 5 times these too; equidistant values if that gives fewer
     than two.
@@ -124,7 +135,7 @@ def _steps(axis: _Axis) -> list[float]:
 
 def _mark(x: float, value: float) -> str:
     line = f'<path d="M{x:.1f} 0V{_HEIGHT + 5}" stroke="#0002"/>'
-    return line + _text(x, _HEIGHT + 22, f"{value:,.10g}")
+    return line + _text(x, _HEIGHT + 22, tick_text(value))
 
 
 def _rule(y: float, value: float) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from nanogs.bench.gains import score_on, views_of
 from nanogs.bench.means import mean_rows, unique
 from nanogs.bench.rows import ORIGINAL, BenchRow
-from nanogs.charts import Chart, svg
+from nanogs.charts import Chart, svg, tick_text, ticks
 from nanogs.formatting import utf8
 
 if TYPE_CHECKING:
@@ -98,15 +98,12 @@ def _lines(
 
 
 def _draw(chart: Chart, axes: "Axes") -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
     for name, points in chart.lines.items():
         places = [[point[side] for point in points] for side in (0, 1)]
         axes.plot(*places, marker="o", markersize=4, label=_legible(name))
     axes.set_xscale("log")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_xticks([], minor=True)
+    axes.set_xticks(ticks(chart), [tick_text(value) for value in ticks(chart)])
     # A $ in a name must not start a formula.
     axes.set_title(_legible(chart.title), parse_math=False)
     axes.set(xlabel=chart.across, ylabel="PSNR (dB)")
