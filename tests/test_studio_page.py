@@ -769,3 +769,58 @@ def test_the_page_fits_any_screen_and_every_control_has_a_label(chromium, width,
         if folder := os.environ.get("NANOGS_SCREENSHOTS"):
             page.screenshot(path=f"{folder}/studio_{width}_{scheme}.png")
     context.close()
+
+
+@pytest.mark.parametrize(("width", "height"), [(360, 640), (640, 360)])
+def test_dialogues_fit_a_phone_and_the_help_begins_at_its_title(tab, width, height):
+    with opened(tab, width, height) as studio:
+        page = studio.page
+        for name in ("help", "save"):
+            page.click(f"#{name}-open")
+            box = page.locator(f"#{name}").bounding_box()
+            assert box["y"] >= 0
+            assert box["y"] + box["height"] <= height
+            title = page.locator(f"#{name}-title").bounding_box()
+            assert 0 <= title["y"] - box["y"] < 30
+            page.keyboard.press("Escape")
+
+
+def test_only_the_panel_scrolls(tab):
+    """Hidden text that was laid out below the window let find and screen readers scroll it."""
+    with opened(tab, 360, 640) as studio:
+        page = studio.page
+        page.click("#sift summary")
+        page.check("#crop")
+        assert page.evaluate("document.scrollingElement.scrollHeight") == 640
+        page.evaluate("document.querySelector('#box legend').scrollIntoView()")
+        assert page.evaluate("document.scrollingElement.scrollTop") == 0
+
+
+def test_an_option_of_the_command_is_never_broken(studio):
+    page = studio.page
+    page.click("#save-open")
+    studio.wait_until(lambda: page.text_content("#save-command"))  # it is not replaced below
+    lines = """code => {
+        const options = [...code.querySelectorAll("span")];
+        return options.map((option) => option.getClientRects().length);
+    }"""
+    for letters in range(2, 40):
+        command = f"nanogs simplify scene.ply {'x' * letters} --sh-degree 1 --count 10 -w"
+        page.evaluate(
+            "async command => (await import('./static/dom.js'))"
+            ".showCommand(document.getElementById('save-command'), command)",
+            command,
+        )
+        assert page.text_content("#save-command") == command
+        assert page.locator("#save-command").evaluate(lines) == [1, 1, 1]
+
+
+def test_without_javascript_only_the_message_is_shown(chromium):
+    context = chromium.new_context(java_script_enabled=False)
+    page = context.new_page()
+    with running_fake(MODELS) as (_, address):
+        page.goto(address)
+        assert "JavaScript" in page.inner_text("#view")
+        for name in ("panel", "status", "save-open", "first-view"):
+            assert not page.locator(f"#{name}").is_visible()
+    context.close()

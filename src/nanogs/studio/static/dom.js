@@ -40,6 +40,16 @@ export function onCommit(field, commit) {
   });
 }
 
+// Shows a command of which no line ends after the dashes of an option; it is copied as it is.
+export function showCommand(host, command) {
+  const words = (command ?? "").split(/(\s)(--?[a-z][a-z0-9-]*)(?=\s|$)/);
+  host.replaceChildren(
+    ...words.map((text, place) =>
+      place % 3 === 2 ? make("span", { className: "option", textContent: text }) : text,
+    ),
+  );
+}
+
 export function copyButton(button, words) {
   button.addEventListener("click", async () => {
     try {

@@ -1,6 +1,6 @@
 // The dialogue for saving: folder, name and format, and the command that does the same.
 
-import { byId, copyButton, make } from "./dom.js";
+import { byId, copyButton, make, showCommand } from "./dom.js";
 import * as numbers from "./numbers.js";
 import { showFraction } from "./status.js";
 
@@ -80,7 +80,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
     if (turn !== checked || running) return;
     unchecked = false;
     exists = Boolean(found.exists);
-    byId("save-command").textContent = found.command ?? "";
+    showCommand(byId("save-command"), found.command);
     byId("save-copy").disabled = !found.command;
     go.disabled = Boolean(found.message);
     say(found.message ?? "", true);
@@ -153,7 +153,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
     onStart(number);
     try {
       const { command } = await answer;
-      if (running === number) byId("save-command").textContent = command; // unless it has ended
+      if (running === number) showCommand(byId("save-command"), command); // unless it has ended
     } catch (error) {
       running = 0;
       busy(false);
@@ -204,7 +204,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
       `${event.short ? `${event.short} ` : ""}Saved: ${event.path}, ${numbers.size(event.bytes)}.`,
       false,
     );
-    byId("save-command").textContent = event.command;
+    showCommand(byId("save-command"), event.command);
     const lines = (event.lines ?? []).flatMap(([label, value]) => [
       make("dt", { textContent: label }),
       make("dd", { textContent: value }),

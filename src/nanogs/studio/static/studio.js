@@ -4,7 +4,7 @@ import { makeAnswers } from "./answers.js";
 import { makeAsks } from "./asks.js";
 import { connect } from "./connection.js";
 import { makeCurve } from "./curve.js";
-import { byId, copyButton } from "./dom.js";
+import { byId, copyButton, showCommand } from "./dom.js";
 import { NONE } from "./filters.js";
 import { bindKeys } from "./keys.js";
 import { keep, kept } from "./kept.js";
@@ -82,7 +82,7 @@ function begin(scene) {
   const method = makeMethod(scene, state);
   const asks = makeAsks(connection, state, {
     onSend: (choice, before) => answers.await(choice, before),
-    onCommand: ({ command }) => (byId("command").textContent = command ?? ""),
+    onCommand: ({ command }) => showCommand(byId("command"), command),
     onRefuse: (number, message) => answers.fail(number, message),
   });
   const tellSeen = (body) => connection.post("seen", body);
