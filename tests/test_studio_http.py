@@ -4,6 +4,7 @@ import asyncio
 import json
 import os
 import re
+import socket
 import sys
 from functools import partial
 from urllib.parse import urlsplit
@@ -78,13 +79,27 @@ def test_the_studio_listens_only_on_this_machine(studio):
     ["/", "/x/", "/favicon.ico", "//", "/{token}", "/{token}x/", "/{token}/nothing",
      "/{token}/static/../server.py", "/{token}/static/%2e%2e/server.py", "/{token}/static/..",
      "/{token}/static/%2e%2e%2fserver.py", "/{token}/static/", "/{token}/server.py",
-     "/{token}/models/..%2f..%2fscene.spz", "/x/../{token}/"],
+     "/{token}/models/..%2f..%2fscene.spz", "/x/../{token}/",
+     f"/{{token}}/static/{'x' * 300}.js"],
 )  # fmt: skip
 def test_other_paths_are_not_found(studio, path):
     token = urlsplit(studio.url).path.strip("/")
     status, headers, _ = studio.request("GET", path.format(token=token), whole=True)
     assert status == 404
     assert headers["x-frame-options"] == "DENY"
+
+
+def test_what_is_no_request_is_refused_and_not_reported(tmp_path):
+    """Any program of this machine may knock on the port; the terminal is the user's."""
+    nanogs.save(random_splats(100), tmp_path / "scene.ply")
+    with running("scene.ply", cwd=tmp_path) as studio:
+        parts = urlsplit(studio.url)
+        with socket.create_connection((parts.hostname, parts.port), 30) as knocking:
+            knocking.sendall(b"\x16\x03\x01 hello\r\n\r\n")
+            assert knocking.recv(100).startswith(b"HTTP/1.1 400")
+        studio.process.terminate()
+        _, reported = studio.process.communicate(timeout=30)
+    assert "Invalid" not in reported
 
 
 def test_a_discarded_model_gives_an_empty_answer(studio):

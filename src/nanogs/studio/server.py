@@ -88,8 +88,8 @@ class Studio:
                 yield  # the caller has set the signal handlers
 
         config = uvicorn.Config(
-            self._application(), log_config=None, access_log=False, lifespan="on",
-            timeout_graceful_shutdown=1, server_header=False, ws="none",
+            self._application(), log_config=None, log_level="error", access_log=False,
+            lifespan="on", timeout_graceful_shutdown=1, server_header=False, ws="none",
         )  # fmt: skip
         server = Server(config)
 
@@ -332,7 +332,10 @@ def _file(package: str, path: str, name: str) -> "Response":
 
 def _package(package: str, path: str) -> bytes | None:
     found = files(package).joinpath(path)
-    return found.read_bytes() if found.is_file() else None
+    try:
+        return found.read_bytes() if found.is_file() else None
+    except OSError:  # a longer name than the system allows
+        return None
 
 
 def _listening(port: int) -> socket.socket:
