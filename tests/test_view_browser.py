@@ -286,6 +286,20 @@ def test_a_model_written_as_a_page_is_named_after_its_file(chromium, files, tmp_
     opened.close()
 
 
+def test_a_long_name_leaves_the_models_visible(chromium, files):
+    opened = OpenedPage(chromium, files / "two.html", 360, 640)
+    opened.settle()
+    names = opened.page.locator(".nv-label strong").all()
+    assert len(names) == 2
+    for name in names:
+        name.evaluate("name => { name.textContent = 'a_very_long_name_'.repeat(12) }")
+        assert name.bounding_box()["height"] < 640 / 8
+    status = opened.page.locator(".nv-status")
+    status.evaluate("it => { it.textContent = 'a sentence '.repeat(9); it.hidden = false }")
+    assert status.bounding_box()["width"] > 0.8 * 360
+    opened.close()
+
+
 def test_a_page_of_one_model_has_no_divider(chromium, files):
     opened = OpenedPage(chromium, files / "one.html")
     opened.settle()
