@@ -17,7 +17,8 @@ ROOT = Path(nanogs.__file__).parent
 # From the bottom up, and in a line from left to right: each may import those before it. A folder
 # means all modules in it.
 ORDER = """
-_version _types errors ranges formatting findings quantities defaults activations place protocol sh
+_version _types errors paths ranges formatting findings quantities defaults activations place
+protocol sh
 charts costs switches progress clock cleanup allocation threads slices parallel sorting morton
 kernels
 card

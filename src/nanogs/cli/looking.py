@@ -73,9 +73,10 @@ def refuse_beside_file(cameras: str | None, found: Given) -> None:
     given = next((option for option, value in found.items() if value is not None), None)
     if cameras is None or given is None:
         return
+    from nanogs.paths import exists
     from nanogs.views.cameras import FOUND
 
-    if cameras not in FOUND and Path(cameras).exists():
+    if cameras not in FOUND and exists(cameras):
         raise OptionError(
             f"{given} cannot be combined with --cameras {cameras}, which has views of its own;"
             " leave one of them out."

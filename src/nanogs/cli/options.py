@@ -518,8 +518,9 @@ def parse_named(texts: Sequence[str]) -> list[tuple[str, Path]]:
 
 def _named(text: str) -> tuple[str | None, Path]:
     from nanogs.io.urls import is_url
+    from nanogs.paths import exists
 
     name, separator, path = text.partition("=")
-    if separator and name and not is_url(text) and not Path(text).exists():
+    if separator and name and not is_url(text) and not exists(text):
         return name, parse_model(path)
     return None, parse_model(text)

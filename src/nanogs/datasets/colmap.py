@@ -12,8 +12,8 @@ from nanogs.datasets import fields
 from nanogs.datasets.colmap_binary import read_cameras_binary, read_images_binary
 from nanogs.datasets.colmap_models import ColmapCamera, ColmapImage, intrinsics, lens_of
 from nanogs.datasets.colmap_text import read_cameras_text, read_images_text
-from nanogs.datasets.photos import is_file
 from nanogs.errors import FormatError
+from nanogs.paths import is_file
 from nanogs.raster.camera import Camera
 
 

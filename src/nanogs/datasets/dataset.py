@@ -17,9 +17,10 @@ from nanogs.datasets.nerfstudio import (
     read_camera_path,
     refuse_lone,
 )
-from nanogs.datasets.photos import find_photo, is_file, is_transparent, photo_size, read_photo
+from nanogs.datasets.photos import find_photo, is_transparent, photo_size, read_photo
 from nanogs.datasets.undistort import straightened, undistorted
 from nanogs.errors import FormatError, NoViewsError, OptionError
+from nanogs.paths import exists, is_file, is_folder, why_refused
 from nanogs.raster.camera import Camera
 
 Kind = Literal["blender", "colmap"]
@@ -171,9 +172,11 @@ def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
     if images is not None and not images.strip():
         raise OptionError("`images` is empty; name a folder of photographs, or leave it out.")
     folder = Path(path)
-    if not folder.exists():
+    if refusal := why_refused(folder):
+        raise FormatError(f"{folder}: cannot be read ({refusal}); check the path.")
+    if not exists(folder):
         raise FormatError(f"{folder}: does not exist; check the path.")
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise FormatError(
             f"{folder}: is not a folder, but the photographs are needed besides the cameras; give"
             " the folder of the data set."
@@ -226,7 +229,7 @@ def _view(camera: Camera) -> tuple[str, bytes]:
 
 
 def _camera_files(place: Path) -> list[Path]:
-    if not place.is_dir():
+    if not is_folder(place):
         if place.suffix in (".bin", ".txt") and find_model(place.parent) == place.parent:
             raise FormatError(f"{place}: is one file of a COLMAP model; give its folder.")
         return [place]
@@ -267,7 +270,7 @@ def _sparse(folder: Path) -> Path | None:
 
 def _image_folder(folder: Path, images: str | None) -> Path:
     chosen = folder / ("images" if images is None else images)
-    if chosen.is_dir():
+    if is_folder(chosen):
         return chosen
     others = sorted(path.name for path in folder.glob("images*") if path.is_dir())
     remedy = f'choose `images="{others[0]}"`' if others else "copy the photographs there"

@@ -16,8 +16,8 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.datasets import fields
-from nanogs.datasets.photos import is_file
 from nanogs.errors import FormatError
+from nanogs.paths import is_file
 from nanogs.raster.camera import Camera
 
 CHANGE_FILE = "dataparser_transforms.json"

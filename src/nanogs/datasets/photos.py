@@ -17,6 +17,7 @@ from PIL.WebPImagePlugin import WebPImageFile
 from nanogs._types import F32, F
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.files import HEAD_BYTES, refuse_stand_in
+from nanogs.paths import is_file
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")
 # Pillow's decoders raise these, and not only OSError, for damaged files.
@@ -35,14 +36,6 @@ _PLUGINS: dict[bytes, Callable[[BinaryIO], ImageFile]] = {
     b"RIFF": WebPImageFile,
 }
 _WIDE = ("I", "F")  # modes of grey of more than 8 bits, which Pillow would clip to 255
-
-
-def is_file(path: Path) -> bool:
-    """Return whether a path is a file; False for names that the file system refuses."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # too long, or with a NUL in it
-        return False
 
 
 def find_photo(folder: Path, name: str) -> Path | None:

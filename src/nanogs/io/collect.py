@@ -1,14 +1,15 @@
 """Resolving the paths, folders and patterns that a user gives to input and output files."""
 
 import glob
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import registry
+from nanogs.io.files import unreadable
 from nanogs.io.urls import Address
+from nanogs.paths import exists, is_file, is_folder
 
 # Manifests: a folder with one of these is a single model.
 WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, "meta.json")
@@ -46,17 +47,17 @@ def model_in(path: Path) -> Path:
     Raises:
         FormatError: The folder holds no model, or several.
     """
-    if not os.path.isdir(path):  # noqa: PTH112 - a name that is too long is no folder
+    if not is_folder(path):
         return path
     inside = _files(path)
-    if len(inside) > 1 and not (path / registry.LEVEL_LIST).is_file():
+    if len(inside) > 1 and not is_file(path / registry.LEVEL_LIST):
         names = ", ".join(file.name for file in inside[:4]) + (", ..." if len(inside) > 4 else "")
         raise FormatError(f"The folder {path} holds {len(inside)} models; name one: {names}.")
     return inside[0]  # sorted by name, so of several levels the finest
 
 
 def _matches(path: Path) -> list[Path]:
-    if isinstance(path, Address) or path.exists() or not glob.has_magic(str(path)):
+    if isinstance(path, Address) or exists(path) or not glob.has_magic(str(path)):
         return [path]
     matches = [Path(name) for name in sorted(glob.glob(str(path), recursive=True))]  # noqa: PTH207
     if not matches:
@@ -65,12 +66,15 @@ def _matches(path: Path) -> list[Path]:
 
 
 def _files(path: Path) -> list[Path]:
-    if not path.is_dir():
+    if not is_folder(path):
         return [path]
     for name in WHOLE_FOLDERS:
-        if (path / name).is_file():
+        if is_file(path / name):
             return [path / name]
-    inside = [file for file in sorted(path.iterdir()) if file.is_file() and _seen(file)]
+    try:
+        inside = [file for file in sorted(path.iterdir()) if is_file(file) and _seen(file)]
+    except OSError as error:
+        raise unreadable(path, error) from error
     if not inside:
         raise FormatError(
             f"The folder {path} holds no file of a format that nanogs reads; name one that does."

@@ -1,6 +1,5 @@
 """Looking up formats by the suffix of a file name or by the first bytes of a file."""
 
-import os
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from nanogs.formatting import listed
 from nanogs.io.format import Format, FormatOptions, Sizer, Writer, given_options
 from nanogs.io.limits import refusal, refused_splats
 from nanogs.io.urls import Address
+from nanogs.paths import exists, is_file, is_folder
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
@@ -147,10 +147,9 @@ def reader(path: Path) -> Format:
     """
     known = find(path)
     if known is None:
-        # `Path` raises for a name that is too long; the functions of os say that there is none.
-        if not (path.suffix or isinstance(path, Address) or os.path.exists(path)):  # noqa: PTH110
+        if not (path.suffix or isinstance(path, Address) or exists(path)):
             raise FormatError(f"{path}: no such file or folder; check the path.")
-        if os.path.isdir(path) and not isinstance(path, Address):  # noqa: PTH112
+        if is_folder(path) and not isinstance(path, Address):
             raise FormatError(f"{path} is a folder; name the model file inside it.")
         _refuse_list(path)
         if remedy := _REMEDIES.get(path.suffix.lower()):
@@ -186,7 +185,7 @@ def refuse_level(path: Path, level: int) -> NoReturn:
         OptionError: Always.
     """
     beside = [] if isinstance(path, Address) else sorted(path.parent.glob(f"level_{level}.*"))
-    if beside and path not in beside and (path.parent / LEVEL_LIST).is_file():
+    if beside and path not in beside and is_file(path.parent / LEVEL_LIST):
         raise OptionError(
             f"{path} holds one level of detail, and level {level} is in a file beside it; name"
             f" {beside[0]}."
@@ -331,7 +330,7 @@ def writable(path: Path) -> Format:
     known = find(path)
     if known is not None and known.suffix in _OF_LEVELS:
         raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
-    if known is None and not isinstance(path, Address) and path.is_dir():
+    if known is None and not isinstance(path, Address) and is_folder(path):
         raise OptionError(f"{path} is a folder; name a file in it, such as {path / 'scene.ply'}.")
     if known is None or not known.writable:
         raise OptionError(f"{path}: nanogs does not write this format{_instead(path)}.")

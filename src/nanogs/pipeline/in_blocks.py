@@ -18,6 +18,7 @@ from nanogs.io.urls import is_url
 from nanogs.memory import allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
 from nanogs.method.parameters import ForestParameters
+from nanogs.paths import exists
 from nanogs.pipeline.estimates.block_plan import MemoryLimit, ScalePlan, plan_blocks
 from nanogs.pipeline.job.folder import read_manifest
 from nanogs.pipeline.job.rows import (
@@ -289,7 +290,7 @@ def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None
     if scratch is not None and is_url(scratch):
         return
     place = (folder if scratch is None else Path(scratch)).absolute()
-    while not place.exists() and place != place.parent:
+    while not exists(place) and place != place.parent:
         place = place.parent
     free = shutil.disk_usage(place).free
     if plan.scratch > free:

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike, fspath
-from pathlib import Path
 from typing import TypeAlias
 
 from nanogs.errors import OptionError, did_you_mean
 from nanogs.formatting import counted
+from nanogs.paths import exists
 from nanogs.protocol import Kind, usual_views
 from nanogs.ranges import one_or_several
 from nanogs.raster.camera import Camera
@@ -167,7 +167,7 @@ def parse_sources(text: str) -> list[str]:
     """
     names = [name.strip() for name in text.split(",")]
     others = [name for name in names if name not in FOUND]
-    if others and len(others) < len(names) and not Path(text).exists():
+    if others and len(others) < len(names) and not exists(text):
         meant = did_you_mean(others[0], FOUND)
         raise OptionError(
             f"{others[0]!r} is not a kind of cameras{meant}; choose from {', '.join(FOUND)}, or"

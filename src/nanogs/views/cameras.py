@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from nanogs.errors import OptionError
+from nanogs.paths import exists, why_refused
 from nanogs.protocol import PIXELS, VIEWS
 from nanogs.protocol import Kind as Origin
 from nanogs.ranges import is_number, one_or_several
@@ -70,7 +71,9 @@ def cameras_from(source: str) -> list[Camera]:
     Raises:
         NanogsError: There is no such file, or it cannot be read.
     """
-    if not Path(source).exists():
+    if refusal := why_refused(source):
+        raise OptionError(f"The cameras {source} cannot be read ({refusal}); check the path.")
+    if not exists(source):
         raise OptionError(
             f"There is no camera file {source!r}; give a file, or one of {', '.join(FOUND)}."
         )
