@@ -224,6 +224,22 @@ def test_functions_of_io_refuse_what_is_no_model(tmp_path, call):
     assert not list(tmp_path.iterdir())
 
 
+def test_the_message_says_how_to_get_a_model_from_what_was_given(tmp_path):
+    both = nanogs.simplify(random_splats(20), ratio=0.5, preset="fast")
+    tensors = random_splats(3).to_gsplat()
+    for call in (
+        lambda given: nanogs.save(given, tmp_path / "a.ply"),
+        lambda given: nanogs.render(given, "orbit"),
+        lambda given: nanogs.simplify(given, ratio=0.5),
+    ):
+        with pytest.raises(ModelError, match=r"not tuple; .*`small, report = nanogs\.simplify"):
+            call(both)
+        with pytest.raises(ModelError, match=r"not dict; .*nanogs\.Splats\.from_gsplat of a"):
+            call(tensors)
+    with pytest.raises(ModelError, match=r"^The small model must be Splats"):
+        nanogs.refit(random_splats(3), None)
+
+
 def test_a_path_where_a_model_is_needed_is_refused(tmp_path):
     path = tmp_path / "a.ply"
     with pytest.raises(ModelError, match=r"A model is needed, not the path '.*nanogs.load"):

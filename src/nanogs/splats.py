@@ -398,7 +398,19 @@ def refuse_other(model: object) -> None:
             f"A model is needed, not the path {path!r}; nanogs.load({path!r}) reads it."
         )
     if not isinstance(model, Splats):
-        raise ModelError(f"A model is needed, Splats, not {type(model).__name__}.")
+        raise ModelError(
+            f"A model is needed, Splats, not {type(model).__name__}; {how_to_make(model)}."
+        )
+
+
+def how_to_make(given: object) -> str:
+    """Return how to get a model in place of something else, as the end of a message."""
+    if isinstance(given, tuple) and given and isinstance(given[0], Splats):
+        return "take the first of the tuple, as in `small, report = nanogs.simplify(...)`"
+    return (
+        "nanogs.Splats makes a model of arrays, and nanogs.Splats.from_gsplat of a dictionary of"
+        " tensors"
+    )
 
 
 def refuse_misaligned(elements: Iterable[tuple[str, int]], count: int, target: int) -> None:

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 from nanogs.errors import ModelError
 from nanogs.source import Source
-from nanogs.splats import Splats
+from nanogs.splats import Splats, how_to_make
 
 Model: TypeAlias = Splats | Source | str | PathLike[str]
 """A model as a function argument: `Splats`, a `Source`, or a path that `load` reads."""
@@ -53,8 +53,8 @@ def as_splats(model: Model, name: str = "the model") -> Splats:
         from nanogs.io import load  # slow to import, and not needed by `--help`
 
         return load(model)
+    subject = name[0].upper() + name[1:]
     raise ModelError(
-        f"{name} must be Splats, a Source or a path, not {type(model).__name__};"
-        " nanogs.Splats makes a model of arrays, and nanogs.Splats.from_gsplat of a dictionary of"
-        " tensors."
+        f"{subject} must be Splats, a Source or a path, not {type(model).__name__};"
+        f" {how_to_make(model)}."
     )
