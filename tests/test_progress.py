@@ -35,6 +35,9 @@ def assert_consistent(reported):
     assert fractions(reported) == sorted(fractions(reported))
     assert reported[-1].fraction == 1
     assert all(step.fraction < 1 for step in reported[:-1])
+    for step in reported:  # plain numbers, which JSON has
+        assert {type(step.done), type(step.fraction)} <= {int, float}
+        assert type(step.parts) is int
     assert [s.number for s in reported] == sorted(s.number for s in reported)
     assert all(1 <= s.number <= s.stages and 0 <= s.done <= s.parts for s in reported)
     assert len({s.stages for s in reported}) == 1
@@ -186,6 +189,13 @@ def test_levels_report_their_stages(tmp_path):
     assert_consistent(reported)
     order = [stage for stage, _ in itertools.groupby(s.stage for s in reported)]
     assert order == ["frame", "grow", "level_0", "write", "level_1", "write"]
+    reported.clear()
+    nanogs.save(random_splats(300), tmp_path / "scene.ply")
+    write_levels(
+        tmp_path / "scene.ply", tmp_path / "of a file", [0.5, 0.1], preset="fast",
+        progress=reported.append,
+    )  # fmt: skip
+    assert_consistent(reported)
 
 
 def test_refit_reports_rendering_and_fitting():

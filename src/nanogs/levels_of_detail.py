@@ -259,6 +259,7 @@ def write_levels_of_files(
         model = read_changed(request.inputs, request.edits, tracker, StageClock())
         model = model._replace(notes=(*model.notes, *unstated))
         manifest, reports = _whole(request, model, sink, tracker.passing(), sky)
+    tracker.finish()
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
 
 

@@ -74,7 +74,7 @@ class StreamedSog(ChunkLayout):
                 part, leaves = level.take(first, end)
                 places = _places(part, level.counts, first, end)
                 files = sog_write.start_encoding(pool, part, leaves)
-                on_progress(level.counts[:end].sum(), level.counts.sum())
+                on_progress(int(level.counts[:end].sum()), int(level.counts.sum()))
                 yield f"{prefix}{number}", places, files
 
         with sog_write.encoders() as pool:
