@@ -53,8 +53,7 @@ def as_splats(model: Model, name: str = "the model") -> Splats:
         from nanogs.io import load  # slow to import, and not needed by `--help`
 
         return load(model)
-    subject = name[0].upper() + name[1:]
     raise ModelError(
-        f"{subject} must be Splats, a Source or a path, not {type(model).__name__};"
-        f" {how_to_make(model)}."
+        f"{name[0].upper()}{name[1:]} must be Splats, a Source or a path, not"
+        f" {type(model).__name__}; {how_to_make(model)}."
     )
