@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import numpy as np
 import pytest
@@ -306,3 +307,23 @@ def test_a_filter_made_from_its_plain_form_is_equal(chosen):
 def test_an_unknown_filter_is_refused():
     with pytest.raises(OptionError, match="There is no filter 'cube'"):
         filters.filter_of("cube", ())
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        ("box", (1.0, 2.0)), ("box", (0.0,) * 7), ("sphere", ()), ("within", (0.0,) * 3),
+        ("beyond", ("a",) * 4), ("opacity", ()), ("opacity", 0.5), ("opacity", (0.5, 0.5)),
+        ("company", (8.0,)), ("company", (math.nan, 5.0)), ("company", (math.inf, 5.0)),
+        ("company", (2.5, 5.0)), ("sphere", (0.0, 0.0, math.nan, 1.0)),
+    ],
+)  # fmt: skip
+def test_a_damaged_record_of_a_filter_is_refused(kind, values):
+    with pytest.raises(OptionError):
+        filters.filter_of(kind, values)
+
+
+@pytest.mark.parametrize("kind", [None, 3, ["box"]])
+def test_a_kind_of_filter_that_is_no_text_is_refused(kind):
+    with pytest.raises(OptionError, match="There is no filter"):
+        filters.filter_of(kind, (1.0,) * 4)

@@ -184,12 +184,22 @@ def refuse_whole(filters: Sequence[Filter]) -> None:
             )
 
 
+_LENGTHS = {"box": 6, "sphere": 4, "within": 4, "beyond": 4, "opacity": 1, "company": 2}
+
+
 def filter_of(kind: str, values: Sequence[float]) -> Filter:
     """Make a filter from the kind and numbers in `Filter.plain`, perhaps of another machine.
 
     Raises:
         OptionError: There is no such kind, or its numbers are invalid.
     """
+    length = _LENGTHS.get(kind) if isinstance(kind, str) else None
+    if length is None:
+        raise OptionError(f"There is no filter {kind!r}.")
+    if not (isinstance(values, Sequence) and len(values) == length and all(map(is_number, values))):
+        raise OptionError(
+            f"The filter {kind!r} is recorded as {counted(length, 'number')}, not {values!r}."
+        )
     if kind == "box":
         return box(values[:3], values[3:])
     if kind == "sphere":
@@ -200,9 +210,10 @@ def filter_of(kind: str, values: Sequence[float]) -> Filter:
         return beyond(values[:3], values[3])
     if kind == "opacity":
         return opaque_enough(values[0])
-    if kind == "company":
-        return in_company(int(values[0]), values[1])
-    raise OptionError(f"There is no filter {kind!r}.")
+    neighbours = int(values[0]) if math.isfinite(values[0]) else 0
+    if neighbours != values[0]:
+        raise OptionError(f"The number of neighbours must be a whole number, not {values[0]!r}.")
+    return in_company(neighbours, values[1])
 
 
 def crop_box(splats: Splats, low: Sequence[float], high: Sequence[float]) -> Splats:
