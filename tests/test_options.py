@@ -22,6 +22,7 @@ from nanogs.errors import OptionError
 from nanogs.fit.parameters import RefitParameters
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
+from nanogs.pipeline.options.presets import idle_notes, parameters
 from nanogs.quantities import as_bytes, parse_bytes
 from nanogs.ranges import check_ranges, known_parameters, parameter
 from test_cli import assert_refused
@@ -243,3 +244,35 @@ def test_a_group_is_expanded_into_its_options():
         get_command(app)(arguments, standalone_mode=False)
     assert calls == [("x", Inner(1, {})), ("x", Inner(4, {"k": 2}))]
     assert command.__doc__ == "Do it."
+
+
+@pytest.mark.parametrize(
+    ("preset", "given", "note"),
+    [
+        ("fast", {"views": 3}, "`views` has no effect, because nothing is rendered"),
+        ("fast", {"views": 3, "view_size": 64}, "`views` and `view_size` have no effect, because"),
+        ("fast", {"hidden": 0.1}, "`hidden` has no effect"),
+        ("fast", {"steps": 2, "corrections": 2}, "no effect, because nothing guides the"),
+        ("default", {"steps": 0, "halves": False}, "`halves` has no effect, because nothing is fi"),
+        ("fast", {"views": 14, "k": 6, "steps": 2}, None),
+        ("default", {"steps": 0, "views": 3}, None),
+        ("paper", {"k": 6}, None),
+    ],
+)
+def test_a_parameter_without_an_effect_is_noted(preset, given, note):
+    notes = idle_notes(preset, parameters(preset, given))
+    assert len(notes) == (note is not None)
+    if notes:
+        assert note in notes[0]
+        assert notes[0].endswith(" out or choose another preset.")
+
+
+def test_reports_note_a_parameter_without_an_effect(tmp_path):
+    model, given = random_splats(300), {"preset": "fast", "views": 3}
+    _, report = nanogs.simplify(model, ratio=0.5, **given)
+    nanogs.save(model, tmp_path / "a.ply")
+    in_blocks = nanogs.simplify_blocks(
+        tmp_path / "a.ply", tmp_path / "b.ply", ratio=0.5, block=200, **given
+    )
+    for each in (report, in_blocks):
+        assert "`views` has no effect, because nothing is rendered with" in " ".join(each.notes)

@@ -18,7 +18,7 @@ from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.estimates.memory import plan_memory, plan_search
 from nanogs.pipeline.options.cameras import are_asked, refuse_unused_views
-from nanogs.pipeline.options.presets import Parameters, parameters, renders
+from nanogs.pipeline.options.presets import Parameters, idle_notes, parameters, renders
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.options.views import RequestedViews, requested_views
 from nanogs.pipeline.outcome import Outcome
@@ -172,6 +172,8 @@ class CheckedModel:
         """
         reported = {each.name: getattr(outcome, each.name) for each in fields(outcome)}
         del reported["splats"], reported["fields"]
+        idle = idle_notes(self.preset, self.parameters)
+        notes = (*self.splats.notes, *outcome.notes, *idle)
         return SimplifyReport(
             preset=self.preset,
             parameters=asdict(self.parameters),
@@ -187,7 +189,7 @@ class CheckedModel:
             seconds=clock.seconds,
             total_seconds=time.perf_counter() - start,
             threads=threads,
-            **{**reported, **outcome.fields, "notes": (*self.splats.notes, *outcome.notes)},
+            **{**reported, **outcome.fields, "notes": notes},
         )
 
 

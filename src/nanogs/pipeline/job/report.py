@@ -7,6 +7,7 @@ from itertools import pairwise
 from nanogs.clock import StageClock
 from nanogs.filters import FilterReport, filter_of
 from nanogs.findings import join_findings, of_plain
+from nanogs.pipeline.options.presets import idle_notes
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.outcome import report_fields
@@ -54,6 +55,7 @@ def report_of(
         **done.fields,
     }
     notes = (*settings.layout.notes, *own_notes, *reported["notes"], *done.notes, *written.notes)
+    notes += idle_notes(preset, settings.parameters)
     return SimplifyReport(
         preset=preset,
         parameters=asdict(settings.parameters),

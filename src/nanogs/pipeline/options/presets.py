@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 from nanogs.errors import OptionError, did_you_mean
 from nanogs.fit.parameters import RefitParameters
+from nanogs.formatting import listed
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.ranges import known_parameters
@@ -50,6 +51,7 @@ _ARGUMENTS = (
     "render_mode", "block", "job", "scratch", "resume", "executor", "patience", "chunk",
     "chunk_min", "plain", "place", "source",
 )  # fmt: skip
+_SWITCHES = ("guided", "steps")  # parameters that decide which others have an effect
 ROUND = 32  # steps in each round of the fit, about
 SEARCHED_STEPS = 84  # least steps of the fit of a result whose packing is searched for
 FORESTS: tuple[str, ...] = tuple(
@@ -157,6 +159,26 @@ def effective(chosen: Parameters) -> dict[str, Any]:
             views = {name for name, known in known_parameters(chosen).items() if known.views}
             unused |= {"steps"} | views
     return {name: value for name, value in values.items() if name not in unused}
+
+
+def idle_notes(preset: str, chosen: Parameters) -> tuple[str, ...]:
+    """Return a note on the parameters that differ from the preset's but have no effect.
+
+    They are not refused, because callers vary one preset or another by the same parameters.
+    """
+    used = {*effective(chosen), *_SWITCHES}
+    usual = dataclasses.asdict(PRESETS[preset])
+    differing = [name for name, value in dataclasses.asdict(chosen).items() if value != usual[name]]
+    idle = [f"`{name}`" for name in differing if name not in used]
+    if not idle:
+        return ()
+    cause = "nothing is rendered"
+    if isinstance(chosen, ForestParameters) and renders(chosen):
+        cause = "nothing guides the cut" if chosen.steps else "nothing is fitted"
+    has, it = ("has", "it") if len(idle) == 1 else ("have", "them")
+    names = listed(idle, "and")
+    remedy = f"leave {it} out or choose another preset"
+    return (f"{names} {has} no effect, because {cause} with the preset {preset} here; {remedy}.",)
 
 
 def renders(chosen: Parameters) -> bool:
