@@ -117,6 +117,16 @@ def test_a_run_whose_kernels_cannot_be_saved_says_what_to_do(package, tmp_path):
         env=environment(package), capture_output=True, text=True, check=True,
     ).stderr  # fmt: skip
     assert library.count("set NUMBA_CACHE_DIR") == 1
+    assert library.count("are being compiled for this processor") == 1
+    assert "on the disk" not in library
+
+
+def test_later_runs_find_what_can_be_saved(package):
+    library = subprocess.run(
+        [sys.executable, "-c", LOGARITHM],
+        env=environment(package), capture_output=True, text=True, check=True,
+    ).stderr  # fmt: skip
+    assert "later runs find them on the disk" in library
 
 
 def test_a_read_only_cache_in_a_given_folder_is_still_read(package, tmp_path):

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from nanogs.kernels.compiling import COMPILING, watching
+from nanogs.kernels.compiling import remark, watching
 from nanogs.progress import Progress, Step
 from nanogs.ranges import as_switch
 
@@ -69,6 +69,6 @@ def _sayer(say: Callable[[str], None]) -> Callable[[bool], None]:
 
     def on_step(begun: bool) -> None:
         if begun:
-            say(COMPILING)
+            say(remark())
 
     return on_step

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from nanogs.cli.console import err, warn
 from nanogs.formatting import time_text
-from nanogs.kernels.compiling import COMPILING, unsaved, watching
+from nanogs.kernels.compiling import remark, unsaved, watching
 from nanogs.progress import WAITING, Step
 
 PATIENCE = 2.0  # seconds before anything is shown; shorter runs need no progress
@@ -103,7 +103,7 @@ class Watch:
 
     def what(self) -> str:
         """Return the stage, with a remark if kernels are being compiled."""
-        return f"{self.stage()}, {COMPILING}" if self.compiling else self.stage()
+        return f"{self.stage()}, {remark()}" if self.compiling else self.stage()
 
     def how_far(self) -> str:
         """Return the per cent of the run that is done, and the time left if known."""

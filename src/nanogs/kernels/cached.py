@@ -99,6 +99,11 @@ class _InTree(_AsItIs, caching.InTreeCacheLocator):
     """The folder `__pycache__` beside the sources, even if it is read-only."""
 
 
+def savable(cache: object) -> bool:
+    """Return whether a kernel's cache can be written to; True for what is not cached by itself."""
+    return not (isinstance(cache, _Cache) and cache.read_only)
+
+
 class _Place(caching.CompileResultCacheImpl):
     """The folder of a kernel's cache: Numba's choice, or a read-only one if none is writable."""
 
@@ -149,6 +154,11 @@ class _Cache:
             return self._disk.load_overload(sig, target_context)
         finally:
             vars(target_context).pop("refresh", None)
+
+    @property
+    def read_only(self) -> bool:
+        """Whether Numba found no folder for the cache that it could write to."""
+        return isinstance(self._disk._impl.locator, _AsItIs)  # noqa: SLF001
 
     def holds(self, sig: Any, codegen: Any) -> bool:  # noqa: ANN401
         """Return whether there is code for a signature."""

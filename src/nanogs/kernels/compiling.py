@@ -5,8 +5,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Lock
 
-# What the displays of progress say meanwhile.
+# What the displays of progress say meanwhile; the second if the cache cannot be written to.
 COMPILING = "compiling for this processor; later runs find it on the disk"
+COMPILING_UNSAVED = "compiling for this processor"
 
 _log = logging.getLogger("nanogs")
 _lock = Lock()
@@ -14,6 +15,7 @@ _waiting: list[Callable[[], None]] = []
 _watching: list[Callable[[bool], None]] = []
 _running = 0  # number of kernels being compiled; nested if one calls another
 _logged = False
+_savable = True  # whether the cache of every kernel compiled so far can be written to
 _unsaved = ""  # why compiled kernels were not saved; empty if they were
 
 
@@ -39,11 +41,16 @@ def watching(callback: Callable[[bool], None]) -> Iterator[None]:
         _watching.remove(callback)
 
 
-def begin() -> None:
-    """Record that a kernel is being compiled, and call the callbacks that wait for that."""
-    global _running  # noqa: PLW0603
+def begin(*, savable: bool = True) -> None:
+    """Record that a kernel is being compiled, and call the callbacks that wait for that.
+
+    Args:
+        savable: Whether its cache can be written to, as far as is known.
+    """
+    global _running, _savable  # noqa: PLW0603
     with _lock:
         _running += 1
+        _savable &= savable
         first = _running == 1
         callbacks = _waiting.copy()
         _waiting.clear()
@@ -61,6 +68,11 @@ def end() -> None:
         last = _running == 0
     if last:
         _notify(begun=False)
+
+
+def remark() -> str:
+    """Return what a display of progress says while kernels are compiled."""
+    return COMPILING if _savable else COMPILING_UNSAVED
 
 
 def note_unsaved(folder: str, error: OSError) -> None:
@@ -93,7 +105,8 @@ def _notify(*, begun: bool) -> None:
         callback(begun)
     if begun and not _watching and not _logged:
         _logged = True
+        found = "; later runs find them on the disk" if _savable else ""
         _log.warning(
-            "Kernels are being compiled for this processor, which takes some 5 to 30 seconds;"
-            " later runs find them on the disk."
+            "Kernels are being compiled for this processor, which takes some 5 to 30 seconds%s.",
+            found,
         )

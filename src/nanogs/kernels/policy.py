@@ -16,7 +16,7 @@ from numba.extending import overload
 
 from nanogs import parallel
 from nanogs.kernels import compiling
-from nanogs.kernels.cached import SIMD_OR_PLAIN, cached
+from nanogs.kernels.cached import SIMD_OR_PLAIN, cached, savable
 from nanogs.kernels.inlined import OPTIONS, inlined
 from nanogs.kernels.simd.choice import Way, chosen
 from nanogs.kernels.taking import taking
@@ -140,8 +140,8 @@ class _Listener(event.Listener):
     """Forwards Numba's compile events to `compiling`; loading from the cache makes none."""
 
     def on_start(self, event: event.Event) -> None:
-        del event
-        compiling.begin()
+        dispatcher = (event.data or {}).get("dispatcher")
+        compiling.begin(savable=savable(getattr(dispatcher, "_cache", None)))
 
     def on_end(self, event: event.Event) -> None:
         del event
