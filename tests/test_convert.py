@@ -129,7 +129,10 @@ def test_splats_that_the_format_cannot_hold_are_refused(scene, tmp_path):
     model = nanogs.load(scene)
     model.means[7] = np.nan
     nanogs.save(model, scene, overwrite=True)
-    assert_refused(run(scene, tmp_path / "a.glb"), tmp_path, "row 7", "--ratio 1")
+    assert_refused(run(scene, tmp_path / "a.glb"), tmp_path, "row 7", "the filter --drop-nan")
+    result = run(scene, tmp_path / "a.glb", "--drop-nan")
+    assert "drop-nan removed 1 splat; " in result.stderr
+    assert len(nanogs.load(tmp_path / "a.glb")) == len(model) - 1
 
 
 def test_an_invalid_sh_degree_is_refused(scene, tmp_path):

@@ -239,6 +239,44 @@ def scene(tmp_path_factory):
 OPTIONS = ("--drop-floaters", "--min-opacity", 0.3, "--crop", "box:-1,-1,-1,1,1,500")
 
 
+def with_nan():
+    """A model whose rows 1 to 4 are not finite; rows 5 to 7 hold infinities that are allowed."""
+    model = random_splats(40, degree=1)
+    model.means[1, 2], model.log_scales[2, 0] = np.nan, np.inf
+    model.quats[3, 1], model.sh[4, 2, 1] = np.inf, np.nan
+    model.log_scales[5, 0], model.opacity_logits[6:8] = -np.inf, (np.inf, -np.inf)
+    return model
+
+
+def test_drop_nan_removes_splats_that_are_not_finite():
+    model = with_nan()
+    left = filters.drop_nan(model)
+    assert_same(left, model.take(np.r_[0, 5:40]))
+    assert_same(filters.drop_nan(left), left)
+
+
+@pytest.mark.parametrize("suffix", [".sog", ".spz", ".glb", ".compressed.ply"])
+def test_what_drop_nan_leaves_can_be_written(tmp_path, suffix):
+    nanogs.save(with_nan(), tmp_path / "a.ply")
+    chosen = [filters.all_finite(), filters.opaque_enough(0)]
+    report = nanogs.convert(tmp_path / "a.ply", tmp_path / f"b{suffix}", filters=chosen)
+    assert [(each.name, each.removed) for each in report.filters] == [
+        ("drop-nan", 4), ("min-opacity", 0),
+    ]  # fmt: skip
+    assert len(nanogs.load(tmp_path / f"b{suffix}")) == 36
+
+
+def test_drop_nan_comes_first_in_commands(tmp_path):
+    nanogs.save(with_nan(), tmp_path / "a.ply")
+    options = ("-r", 0.5, "--preset", "fast", "--nan", "error", "--min-opacity", 0, "--json")
+    result = run("simplify", tmp_path / "a.ply", tmp_path / "b.ply", *options)
+    assert (result.returncode, result.stdout) == (2, "")
+    result = run("simplify", tmp_path / "a.ply", tmp_path / "b.ply", *options, "--drop-nan")
+    report = json.loads(result.stdout)
+    assert [each["name"] for each in report["filters"]] == ["drop-nan", "min-opacity"]
+    assert report["input_count"] == 36
+
+
 def test_simplify_takes_the_ratio_of_the_filtered_model(scene, tmp_path):
     small = tmp_path / "a.ply"
     options = ("-r", 0.5, "--preset", "fast", *OPTIONS)
@@ -289,12 +327,13 @@ def test_commands_with_invalid_filters_write_nothing(scene, tmp_path, options, m
     [
         filters.box((-1, -2, -3), (1, 0.5, 3)), filters.sphere((0.5, 0, 0), 1.2),
         filters.within((0.5, 0, 0), 0.8), filters.beyond((0.5, 0, 0), 0.8),
-        filters.opaque_enough(0.4), filters.in_company(1, 0.5),
+        filters.opaque_enough(0.4), filters.in_company(1, 0.5), filters.all_finite(),
     ],
     ids=lambda chosen: chosen.plain[0],
 )  # fmt: skip
 def test_a_filter_made_from_its_plain_form_is_equal(chosen):
     splats = random_splats(200)
+    splats.sh[7, 0] = np.nan
     restored = filters.filter_of(*chosen.plain)
     assert (restored.name, restored.argument, restored.plain) == (
         chosen.name, chosen.argument, chosen.plain,

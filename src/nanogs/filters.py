@@ -1,4 +1,4 @@
-"""Filters that remove splats before anything else is done: by place, opacity or isolation.
+"""Filters that remove splats before anything else is done: by place, opacity, isolation or NaN.
 
 A filter removes whole splats and changes none. The public functions return the filtered model;
 `apply` runs several filters in turn and reports how many splats each removed. Numba is imported
@@ -140,7 +140,7 @@ def apply_with_mask(
 
 
 def in_order(
-    regions: Sequence[Filter], min_opacity: float | None, *, floaters: bool
+    regions: Sequence[Filter], min_opacity: float | None, *, floaters: bool, nan: bool = False
 ) -> list[Filter]:
     """Return the filters in the order in which the command and the studio apply them.
 
@@ -148,11 +148,12 @@ def in_order(
         regions: Boxes and spheres in which splats stay.
         min_opacity: The lowest alpha to keep, or None.
         floaters: Whether floaters are removed, after the other filters.
+        nan: Whether splats with a NaN or an infinite value are removed, before the other filters.
 
     Raises:
         OptionError: The alpha is not from 0 to 1.
     """
-    chosen = [*regions]
+    chosen = [all_finite(), *regions] if nan else [*regions]
     if min_opacity is not None:
         chosen.append(opaque_enough(min_opacity))
     return [*chosen, in_company()] if floaters else chosen
@@ -184,7 +185,7 @@ def refuse_whole(filters: Sequence[Filter]) -> None:
             )
 
 
-_LENGTHS = {"box": 6, "sphere": 4, "within": 4, "beyond": 4, "opacity": 1, "company": 2}
+_LENGTHS = {"box": 6, "sphere": 4, "within": 4, "beyond": 4, "opacity": 1, "finite": 0, "company": 2}
 
 
 def filter_of(kind: str, values: Sequence[float]) -> Filter:
@@ -210,10 +211,24 @@ def filter_of(kind: str, values: Sequence[float]) -> Filter:
         return beyond(values[:3], values[3])
     if kind == "opacity":
         return opaque_enough(values[0])
+    if kind == "finite":
+        return all_finite()
     neighbours = int(values[0]) if math.isfinite(values[0]) else 0
     if neighbours != values[0]:
         raise OptionError(f"The number of neighbours must be a whole number, not {values[0]!r}.")
     return in_company(neighbours, values[1])
+
+
+def drop_nan(splats: Splats) -> Splats:
+    """Keep the splats without NaN or infinite values, which most formats cannot store.
+
+    Args:
+        splats: N splats; alphas of exactly 0 or 1 and scales of 0 are no reason to remove one.
+
+    Raises:
+        ModelError: No splat is left.
+    """
+    return apply(splats, [all_finite()])[0]
 
 
 def crop_box(splats: Splats, low: Sequence[float], high: Sequence[float]) -> Splats:
@@ -284,6 +299,11 @@ def drop_floaters(
         OptionError: A parameter is out of range.
     """
     return apply(splats, [in_company(neighbours, deviations)])[0]
+
+
+def all_finite() -> Filter:
+    """Make the filter that `drop_nan` applies."""
+    return Filter("drop-nan", "", Splats.finite, plain=("finite", ()))
 
 
 def box(low: Sequence[float], high: Sequence[float]) -> Filter:

@@ -119,6 +119,14 @@ class Edits:
         ),
     ] = None
     render_mode: options.AsMode = None
+    drop_nan: Annotated[
+        bool,
+        _filter(
+            "Leave out splats with a NaN or infinite value, which most formats cannot store"
+            " (simplify and lod do so by default).",
+            "--drop-nan",
+        ),
+    ] = False
     crop: Annotated[
         list[str] | None,
         _filter(

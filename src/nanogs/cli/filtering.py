@@ -18,7 +18,9 @@ def parse_filters(edits: Edits) -> list[filters.Filter]:
         OptionError: A filter is invalid.
     """
     regions = [_crop(text) for text in edits.crop or ()]
-    return filters.in_order(regions, edits.min_opacity, floaters=edits.drop_floaters)
+    return filters.in_order(
+        regions, edits.min_opacity, floaters=edits.drop_floaters, nan=edits.drop_nan
+    )
 
 
 def _crop(text: str) -> filters.Filter:

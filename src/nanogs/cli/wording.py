@@ -6,7 +6,7 @@ from nanogs.errors import ExistsError, NanogsError, RangeError
 
 # Python arguments in the library's messages that are also options of the command.
 _ARGUMENT = re.compile(
-    r"`(bits|budget|cameras|chunk|count|device|draw_cost|environment|format|frame|images|interactive|job|k|level|levels|max_memory|model_pattern|nan|palette|pixels"
+    r"`(bits|budget|cameras|chunk|count|device|draw_cost|drop_nan|environment|format|frame|images|interactive|job|k|level|levels|max_memory|model_pattern|nan|palette|pixels"
     r"|plain|psnr|ratio|render_mode|resume|scheduler|scratch|sh_bits|sh_degree|size|spare_bits|spz_version|steps|up|view_size|views)(?:=([^`]+))?`"
 )
 

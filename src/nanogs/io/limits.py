@@ -78,8 +78,8 @@ def storable(source: Source, suffix: str, rows: int | None = None) -> Iterator[S
     if wrong:
         raise UnstorableError(
             f"{counted(wrong, 'splat holds', 'splats hold')} NaN or infinite values, the first in"
-            f" row {first}, which {suffix} cannot store; leave such splats out, for example by"
-            " simplifying with `ratio=1`."
+            f" row {first}, which {suffix} cannot store; leave such splats out by converting with"
+            " the filter `drop_nan`."
         )
 
 
