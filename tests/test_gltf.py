@@ -580,6 +580,10 @@ REFUSED = {
         "packed with 'KHR_compression_9', which nanogs does not",
     ),
     "old spz": (broken(("extensionsRequired",), ["KHR_spz"]), "requires the extension 'KHR_spz'"),
+    "new spz": (
+        broken(("extensionsRequired",), ["KHR_gaussian_splatting_compression_spz_9"]),
+        "_spz_9', which nanogs does not read; export it without",
+    ),
     "scale missing": (broken((*ATTRIBUTES, PREFIX + "SCALE"), None), "lacks .*SCALE"),
     "band": (broken((*ATTRIBUTES, PREFIX + "SH_DEGREE_1_COEF_1"), None), "lacks .*COEF_1"),
     "higher": (broken((*ATTRIBUTES, PREFIX + "SH_DEGREE_3_COEF_0"), 0), "lacks .*DEGREE_2_COEF_0"),
@@ -667,3 +671,15 @@ def test_damaged_files_give_a_format_error_or_a_model(tmp_path, seed):
     tracemalloc.stop()
     assert min(outcomes.values()) > 0
     assert peak < 20_000_000
+
+
+def test_a_draft_with_splats_of_its_own_is_named_with_the_extension_to_use(tmp_path):
+    io.save(random_splats(3, degree=0), tmp_path / "a.gltf")
+    text = (tmp_path / "a.gltf").read_text()
+    content = json.loads(
+        text.replace("KHR_gaussian_splatting", "KHR_spz_gaussian_splats_compression")
+    )
+    content["extensionsRequired"] = content["extensionsUsed"]
+    (tmp_path / "a.gltf").write_text(json.dumps(content))
+    with pytest.raises(FormatError, match="export it with KHR_gaussian_splatting instead"):
+        io.load(tmp_path / "a.gltf")

@@ -189,9 +189,11 @@ def _scene(path: Path, above: F64) -> _Scene:
     document = read_document(path)
     for name in document.root.items("extensionsRequired"):
         if name not in _UNDERSTOOD and not str(name).startswith(_IGNORED):
+            # A draft has the splats in an extension of its own; without it nothing would be left.
+            own = "splat" in str(name) and EXTENSION not in document.root.items("extensionsUsed")
             raise FormatError(
                 f"{path} requires the extension {ascii(name)[:80]}, which nanogs does not read;"
-                " export it without."
+                f" export it {f'with {EXTENSION} instead' if own else 'without'}."
             )
     placed, others = placed_splats(document, above)
     scene = _Scene(document)
