@@ -185,7 +185,9 @@ def refuse_whole(filters: Sequence[Filter]) -> None:
             )
 
 
-_LENGTHS = {"box": 6, "sphere": 4, "within": 4, "beyond": 4, "opacity": 1, "finite": 0, "company": 2}
+# Numbers in the record of each kind of filter.
+_LENGTHS = {"box": 6, "sphere": 4, "within": 4, "beyond": 4}
+_LENGTHS |= {"opacity": 1, "finite": 0, "company": 2}
 
 
 def filter_of(kind: str, values: Sequence[float]) -> Filter:
