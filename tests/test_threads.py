@@ -2,12 +2,15 @@
 
 from contextlib import nullcontext
 
+import numba
 import pytest
 
 import nanogs
 from builders import random_splats
 from launch import run_here
+from nanogs.control_groups import processor_quota
 from nanogs.errors import OptionError
+from nanogs.threads import most_threads, processors, use_threads, usual_threads
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +101,60 @@ def test_only_workers_share_the_threads_that_the_process_may_use(
     arguments = ["simplify", folder / "large.ply", "out.ply", "--count", "400", "--preset", "fast"]
     assert run_here(*arguments, "--workers", "2", *option) == 2
     assert seen == [threads]
+
+
+def write_group(root, line, files):
+    """Write a process's group and, at given places below the root of groups, their files."""
+    (root / "proc" / "self").mkdir(parents=True)
+    (root / "proc" / "self" / "cgroup").write_text(line)
+    for name, text in files.items():
+        path = root / "groups" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"{text}\n")
+    return root / "proc", root / "groups"
+
+
+@pytest.mark.parametrize(
+    ("line", "files", "processors"),
+    [
+        ("0::/\n", {"cpu.max": "200000 100000"}, 2),
+        ("0::/\n", {"cpu.max": "150000 100000"}, 2),
+        ("0::/\n", {"cpu.max": "50000 100000"}, 1),
+        ("0::/\n", {"cpu.max": "max 100000"}, None),
+        ("0::/a/b\n", {"a/cpu.max": "300000 100000", "a/b/cpu.max": "max 100000"}, 3),
+        ("0::/a/b\n", {"a/cpu.max": "300000 100000", "a/b/cpu.max": "100000 100000"}, 1),
+        ("0::/elsewhere\n", {"cpu.max": "400000 100000"}, 4),
+        (
+            "4:memory:/m\n3:cpu,cpuacct:/job\n",
+            {"cpu/job/cpu.cfs_quota_us": "600000", "cpu/job/cpu.cfs_period_us": "100000"},
+            6,
+        ),
+        (
+            "3:cpu,cpuacct:/job\n",
+            {"cpu/job/cpu.cfs_quota_us": "-1", "cpu/job/cpu.cfs_period_us": "100000"},
+            None,
+        ),
+        ("4:memory:/\n", {"cpu/cpu.cfs_quota_us": "1", "cpu/cpu.cfs_period_us": "1"}, None),
+        ("0::/\n", {"cpu.max": "garbage"}, None),
+        ("0::/\n", {"cpu.max": "100000 0"}, None),
+        ("0::/\n", {}, None),
+        ("", {}, None),
+    ],
+)
+def test_the_quota_of_processor_time_is_read(tmp_path, line, files, processors):
+    assert processor_quota(*write_group(tmp_path, line, files)) == processors
+
+
+def test_without_a_number_a_quota_limits_the_threads(monkeypatch):
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    monkeypatch.setattr("nanogs.threads._quota", lambda: 1)
+    assert (processors(), usual_threads()) == (1, 1)
+    with use_threads(None) as threads:
+        assert threads == numba.get_num_threads() == 1
+    if most_threads() > 1:
+        with use_threads(2) as threads:
+            assert threads == numba.get_num_threads() == 2
+    monkeypatch.setattr("nanogs.threads._quota", lambda: 10_000)
+    assert processors() == most_threads()
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "7")
+    assert usual_threads() == most_threads() == 7

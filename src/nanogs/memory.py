@@ -13,9 +13,9 @@ Does not import NumPy, so that a process with too little memory for NumPy can st
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
+from nanogs.control_groups import GROUPS, PROC, group_folders, read_number, read_text
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.formatting import bytes_text
 from nanogs.threads import most_threads
@@ -111,9 +111,7 @@ def refuse_too_large(what: str, needed: int, memory: Memory, otherwise: str = ""
         )
 
 
-def free_memory(
-    proc: Path = Path("/proc"), groups: Path = Path("/sys/fs/cgroup"), *, compiled: bool = True
-) -> Memory:
+def free_memory(proc: Path = PROC, groups: Path = GROUPS, *, compiled: bool = True) -> Memory:
     """Return the least memory that the machine, the control group and `ulimit` leave for work.
 
     Args:
@@ -186,56 +184,28 @@ def set_ulimits() -> Iterator[tuple[int, str]]:
 
 def _group_limits(proc: Path, groups: Path) -> Iterator[tuple[int, int]]:
     """Iterate over limit and use, in bytes, of this process's control group and its ancestors."""
-    for line in _text(proc / "self" / "cgroup").splitlines():
-        _number, _, rest = line.partition(":")
-        controllers, _, path = rest.partition(":")
-        names = controllers.split(",")
-        if "memory" in names:
-            above = _and_above(groups / "memory", path)
-            yield from chain.from_iterable(map(_first_version, above))
-        elif names == [""]:
-            yield from chain.from_iterable(map(_second_version, _and_above(groups, path)))
-
-
-def _and_above(root: Path, path: str) -> Iterator[Path]:
-    """Iterate over the folders of a group and its ancestors up to the root.
-
-    A container may see its own group as the root.
-    """
-    inner = PurePosixPath(path.lstrip("/"))
-    for each in (inner, *inner.parents):
-        yield root / each
+    for version, folder in group_folders("memory", proc, groups):
+        yield from _first_version(folder) if version == 1 else _second_version(folder)
 
 
 def _second_version(group: Path) -> Iterator[tuple[int, int]]:
-    used = _number(group / "memory.current")
+    used = read_number(group / "memory.current")
     for name in ("memory.max", "memory.high"):  # above `high` the group is throttled
-        limit = _number(group / name)
+        limit = read_number(group / name)
         if limit is not None and used is not None:
             yield limit, used - _cache(group, "inactive_file", "active_file")
 
 
 def _first_version(group: Path) -> Iterator[tuple[int, int]]:
-    limit, used = _number(group / "memory.limit_in_bytes"), _number(group / "memory.usage_in_bytes")
+    limit, used = (
+        read_number(group / "memory.limit_in_bytes"),
+        read_number(group / "memory.usage_in_bytes"),
+    )
     if limit is not None and used is not None and limit < _UNLIMITED:
         yield limit, used - _cache(group, "total_inactive_file", "total_active_file")
 
 
 def _cache(group: Path, *names: str) -> int:
     """Return the bytes of cached files, which the system frees before memory runs out."""
-    facts = dict(line.split()[:2] for line in _text(group / "memory.stat").splitlines() if line)
+    facts = dict(line.split()[:2] for line in read_text(group / "memory.stat").splitlines() if line)
     return sum(int(facts.get(name, "0")) for name in names)
-
-
-def _number(path: Path) -> int | None:
-    """Read the number in a file; None if the file is missing or holds `max`."""
-    text = _text(path).strip()
-    return int(text) if text.isdigit() else None
-
-
-def _text(path: Path) -> str:
-    """Read a small system file; empty if there is none."""
-    try:
-        return path.read_text(encoding="ascii")
-    except (OSError, UnicodeDecodeError):
-        return ""

@@ -16,7 +16,7 @@ from functools import cache
 from threading import Lock, local
 from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar
 
-from nanogs.threads import most_threads
+from nanogs.threads import most_threads, usual_threads
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -275,11 +275,11 @@ def _pool() -> "ThreadPoolExecutor":
 
 
 def _threads() -> int:
-    """Return the number of threads that Numba uses, or `most_threads()` if it is not imported.
+    """Return the number of threads that Numba uses, or `usual_threads()` if it is not imported.
 
     Files are read and written without Numba.
     """
-    found = getattr(sys.modules.get("numba"), "get_num_threads", most_threads)()
+    found = getattr(sys.modules.get("numba"), "get_num_threads", usual_threads)()
     return int(found)
 
 

@@ -31,7 +31,7 @@ from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.reading import changed, inspect_parts, read_parts
 from nanogs.pipeline.request import Request, is_measured, memory_of, plan_files
 from nanogs.pipeline.search.file_size import first_two
-from nanogs.threads import most_threads
+from nanogs.threads import usual_threads
 
 T = TypeVar("T")
 _LIBRARIES = f"{bytes_text(LIBRARIES)} for Python and its libraries"
@@ -89,7 +89,7 @@ class Plan:
         asked, workers = self.request.threads, self.method.blocks.workers
         if asked is not None or workers is None:
             return asked
-        return max(most_threads() // workers, 1)
+        return max(usual_threads() // workers, 1)
 
     def executor(self) -> AbstractContextManager[Any]:
         """Return the executor of the tasks of a model in blocks."""
