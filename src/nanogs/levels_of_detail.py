@@ -29,7 +29,7 @@ from nanogs.lod.layout import Layout, chunks_of, refuse_misnamed
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.lod.usual import default_ratios
-from nanogs.pipeline.api import refuse_device
+from nanogs.pipeline.checks import refuse_device
 from nanogs.pipeline.estimates.durations import levels_stages
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.files import checked_options, limit_degree

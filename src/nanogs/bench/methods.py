@@ -10,7 +10,8 @@ from typing import Any
 
 from nanogs.bench.baselines import BASELINES, Method, MethodContext
 from nanogs.errors import OptionError
-from nanogs.pipeline.api import refuse_searches, simplify
+from nanogs.pipeline.api import simplify
+from nanogs.pipeline.checks import refuse_searches
 from nanogs.pipeline.options.presets import PRESETS, parameters, renders
 from nanogs.pipeline.options.target import Goal
 from nanogs.splats import Splats

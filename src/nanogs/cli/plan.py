@@ -18,7 +18,6 @@ from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
-from nanogs.pipeline.api import target_of
 from nanogs.pipeline.estimates.block_plan import ScalePlan
 from nanogs.pipeline.estimates.memory import MemoryPlan
 from nanogs.pipeline.in_blocks import block_memory, plan_job
@@ -27,7 +26,7 @@ from nanogs.pipeline.job.cluster import executor_of
 from nanogs.pipeline.job.folder import MANIFEST
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, effective, renders
 from nanogs.pipeline.options.settings import Settings
-from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.options.target import Goal, target_of
 from nanogs.pipeline.reading import changed, inspect_parts, read_parts
 from nanogs.pipeline.request import Request, is_measured, memory_of, plan_files
 from nanogs.pipeline.search.file_size import first_two

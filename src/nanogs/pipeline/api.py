@@ -3,33 +3,24 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import show_progress
-from nanogs.card.device import AUTO, CPU, check_device, device_notes, use_device
+from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
-from nanogs.errors import OptionError
 from nanogs.frames import checked_frames, turned
 from nanogs.io import registry
 from nanogs.io.format import Format, FormatOptions, given_options
 from nanogs.io.models import Model, as_splats
+from nanogs.pipeline.checks import refuse_device, refuse_reduced, refuse_searches, refuse_small
 from nanogs.pipeline.in_memory import CheckedModel, NanPolicy, check_model
 from nanogs.pipeline.options.presets import (
     DEFAULT_PRESET,
-    Parameters,
     parameters,
-    refuse_search,
     renders,
     with_longer_fit,
 )
-from nanogs.pipeline.options.target import (
-    Goal,
-    chooses_packing,
-    count_for_size,
-    is_searched,
-    shared_in_file,
-)
+from nanogs.pipeline.options.target import Goal, chooses_packing, shared_in_file, target_of
 from nanogs.pipeline.outcome import Outcome
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
@@ -38,7 +29,6 @@ from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.pipeline.search.files import HeldFiles
-    from nanogs.pipeline.search.size_request import SizeRequest
     from nanogs.views.cameras import Cameras
 
 
@@ -204,166 +194,24 @@ def _with_size_ending(outcome: Outcome, size: int, checked: CheckedModel, known:
     )
 
 
-def refuse_device(device: str | None, preset: str, chosen: Parameters, goal: Goal) -> None:
-    """Raise if a device is not available, or if it is a graphics card and nothing is rendered.
-
-    Args:
-        device: The device asked for; "auto" never raises.
-        preset: Name of the preset.
-        chosen: Its parameters.
-        goal: The target of the simplification.
-
-    Raises:
-        OptionError: The device is not available, or has nothing to do.
-    """
-    looks = renders(chosen) or goal.psnr is not None
-    if device not in (None, CPU, AUTO) and not looks:
-        raise OptionError(
-            f"`device` has no effect with the preset {preset}, which renders nothing; use"
-            ' `device="cpu"`, or choose another preset.'
-        )
-    check_device(device)
-
-
-def refuse_searches(goal: Goal, preset: str, path: Path) -> None:
-    """Raise, before anything is read, if the goal needs a search that the preset cannot do.
-
-    Args:
-        goal: The target of the simplification.
-        preset: Name of a preset.
-        path: The output file; only its suffix counts.
-
-    Raises:
-        OptionError: The preset starts again for every count; the format cannot be written; or a
-            size or a PSNR is asked for, and the format is not a single file.
-    """
-    if goal.psnr is not None:
-        refuse_search(preset, "a PSNR")
-    elif goal.draw_cost is not None:
-        refuse_search(preset, "a draw cost")
-    known = registry.writable(path)
-    if goal.size is not None and known.file_bytes is None:
-        refuse_search(preset, f"the size of a {known.suffix} file")
-    if known.write is None and (goal.size is not None or goal.psnr is not None):
-        asked = "size" if goal.psnr is None else "psnr"
-        raise OptionError(
-            f"`{asked}` works only for models in one file, and {known.suffix} describes a folder;"
-            " write a .sog file."
-        )
-
-
-def refuse_reduced(goal: Goal, chosen: Parameters, sh_degree: int | None) -> None:
-    """Raise if a PSNR is asked for and harmonics would be left out of the model before it is made.
-
-    Args:
-        goal: The target of the simplification.
-        chosen: Parameters of the method.
-        sh_degree: Degree of the result's harmonics, if one is asked for.
-
-    Raises:
-        OptionError: Both are asked for, and the method renders nothing, so that it cannot fit its
-            results for the degree.
-    """
-    if goal.psnr is not None and sh_degree is not None and not renders(chosen):
-        raise OptionError(
-            "`psnr` cannot be combined with `sh_degree` for a preset that renders nothing, because"
-            " the PSNR would be against a model without these harmonics; use the preset default, or"
-            " leave the harmonics out with `nanogs convert` first."
-        )
-
-
-def target_of(
-    goal: Goal,
-    splats: Splats,
-    available: int,
-    path: Path,
-    chosen: Parameters,
-    sh_degree: int | None,
-) -> int | None:
-    """Return the count that meets the goal, or None if it has to be searched for.
-
-    Args:
-        goal: The target of the simplification.
-        splats: The model.
-        available: Number of its usable splats.
-        path: The output file; only its suffix counts.
-        chosen: Parameters of the method.
-        sh_degree: Degree of the result's harmonics, if one is asked for.
-
-    Raises:
-        OptionError: The goal cannot be met with this model or in this format.
-    """
-    if goal.size is None:
-        return goal.known_count(available)
-    known = registry.writable(path)
-    if known.file_bytes is None:
-        return None
-    file_bytes = known.file_bytes
-    like = splats if sh_degree is None else splats.with_sh_degree(sh_degree)
-    degree = splats.sh_degree if sh_degree is None else 0
-    searched = is_searched(goal, known, degree=degree, looks=renders(chosen))
-    if searched and file_bytes(like, available) > goal.size:
-        return None
-    return count_for_size(available, goal.size, lambda count: file_bytes(like, count))
-
-
-def refuse_small(request: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
-    """Raise, before anything is computed, if the file size asked for is far too small.
-
-    Args:
-        request: The requirements on the file.
-        some: Usable splats of the model, at least one.
-        files: Writes sample files to measure their size.
-
-    Raises:
-        TooSmallError: The size is far too small.
-    """
-    from nanogs.pipeline.search.file_size import refuse_hopeless
-
-    smallest = request.smallest(some.sh_degree)
-    lowest = some.with_sh_degree(smallest.sh_degree)
-    if (file_bytes := request.known.file_bytes) is not None:
-        count_for_size(1, request.size, lambda _count: file_bytes(lowest, 1))
-    else:
-        refuse_hopeless(
-            lowest, request.size, lambda one: files.sample_bytes(one, smallest.options(1))
-        )
-
-
 def _searched(
     checked: CheckedModel, goal: Goal, files: "HeldFiles", threads: int, progress: Tracker
 ) -> Outcome:
     """Search for the result that meets a size, a PSNR or a draw cost."""
-    from nanogs.pipeline.search.draw_cost import search_draw_cost
-    from nanogs.pipeline.search.filled import fill_size
-    from nanogs.pipeline.search.packer import Packer, PackingForPsnr
-    from nanogs.pipeline.search.psnr import search_psnr
+    from nanogs.pipeline.search.find import find_result
     from nanogs.pipeline.search.results import HeldResults
     from nanogs.pipeline.search.size_request import SizeRequest
-    from nanogs.scoring.draw_views import draw_views
-    from nanogs.scoring.held_out import held_out
 
-    some, clock, looks = _sample(checked), files.clock, renders(checked.parameters)
-    known = registry.writable(files.path)
+    some, known = _sample(checked), registry.writable(files.path)
+    looks = renders(checked.parameters)
     request = SizeRequest(goal.size or 0, known, files.given, checked.sh_degree, looks=looks)
 
     def grown() -> HeldResults:
-        return HeldResults(checked.build(threads, clock, progress), clock)
+        return HeldResults(checked.build(threads, files.clock, progress), files.clock)
 
     if goal.size is not None:
         refuse_small(request, some, files)
-        found = fill_size(Packer(grown(), request, some, files, progress))
-    elif goal.psnr is not None:
-        progress.begin("measure")
-        with clock.time("measure"):
-            views = held_out(checked.splats, progress.part)
-        pack = PackingForPsnr(grown(), request, lambda: some, files, progress)
-        found = search_psnr(pack, goal.psnr, views)
-    else:
-        progress.begin("measure")
-        with clock.time("measure"):
-            drawn = draw_views(checked.splats, progress.part)
-        found = search_draw_cost(grown(), goal.draw_cost or 1.0, drawn, files, progress)
+    found = find_result(goal, request, grown, lambda: some, files, progress)
     outcome, fields, notes = found
     stop = fields.pop("stop")
     if goal.size is not None and outcome.stop is not StopReason.TARGET:

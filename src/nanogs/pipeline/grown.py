@@ -14,7 +14,7 @@ from nanogs.formatting import counted
 from nanogs.io import registry, round_trip_with_size
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, as_splats
-from nanogs.pipeline.api import refuse_device
+from nanogs.pipeline.checks import refuse_device
 from nanogs.pipeline.in_memory import CheckedModel, NanPolicy, check_model
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters, refuse_search
 from nanogs.pipeline.options.target import Goal, target_count

@@ -181,7 +181,7 @@ def plan_job(
     inputs, layout = describe_inputs(request.inputs, changes)
     allowed = request.max_memory if max_memory is None else max_memory
     sought = search_target(request, layout, sum(each.splats for each in inputs), allowed)
-    seen = sought is not None and (sought.is_measured or renders(chosen))
+    seen = sought is not None and (sought.goal.is_measured or renders(chosen))
     if request.measured or seen:
         with Joined(open_parts(request.inputs, request.render_mode)) as source:
             remedy = "ask for a ratio or a count" if seen else "leave out the measurement"

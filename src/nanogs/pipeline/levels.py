@@ -12,7 +12,7 @@ from nanogs.clock import StageClock
 from nanogs.errors import OptionError
 from nanogs.io.format import Sharing
 from nanogs.io.models import Model, as_splats
-from nanogs.pipeline.api import refuse_device
+from nanogs.pipeline.checks import refuse_device
 from nanogs.pipeline.estimates.stage_weights import level_stage
 from nanogs.pipeline.in_memory import CheckedModel, Deliver, NanPolicy, check_model
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters

@@ -20,7 +20,7 @@ from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import Address, is_url
 from nanogs.memory import allowed_memory
-from nanogs.pipeline.api import refuse_device, refuse_reduced, refuse_searches, refuse_small
+from nanogs.pipeline.checks import refuse_device, refuse_reduced, refuse_searches, refuse_small
 from nanogs.pipeline.estimates.memory import (
     MemoryPlan,
     plan_chunks,

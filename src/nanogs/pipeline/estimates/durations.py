@@ -37,7 +37,7 @@ def job_stages(settings: Settings) -> list[Stage]:
     if (sought := settings.search) is not None:
         splats = settings.splats
         before, after = search_stages(
-            sought.is_measured, settings.parameters, splats, sought.suffix
+            sought.goal.is_measured, settings.parameters, splats, sought.suffix
         )
         stages += [*before, *after]
     chunks = settings.chunks

@@ -12,6 +12,7 @@ from nanogs.filters import Plain
 from nanogs.io.format import Sharing, shared_entries
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.presets import renders
+from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.options.views import AUTOMATIC, RequestedViews
 from nanogs.source import Layout
 
@@ -126,9 +127,9 @@ class SearchTarget:
     most: int | None = None
 
     @property
-    def is_measured(self) -> bool:
-        """Whether results are rendered and compared with the original."""
-        return self.psnr is not None or self.draw_cost is not None
+    def goal(self) -> Goal:
+        """The limit as a goal."""
+        return Goal(size=self.size, psnr=self.psnr, draw_cost=self.draw_cost)
 
 
 @dataclass(frozen=True, slots=True)

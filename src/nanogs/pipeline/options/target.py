@@ -4,11 +4,15 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 from nanogs.errors import OptionError, TooManyError, TooSmallError
 from nanogs.formatting import counted
+from nanogs.io import registry
 from nanogs.io.format import Format, FormatOptions, Sharing
+from nanogs.pipeline.options.presets import Parameters, renders
 from nanogs.ranges import is_number
+from nanogs.splats import Splats
 
 _KINDS = {"count": int, "size": int, "ratio": float, "psnr": float, "draw_cost": float}
 
@@ -127,6 +131,41 @@ def is_searched(goal: Goal, known: Format, *, degree: int, looks: bool) -> bool:
         return goal.is_measured
     chosen = looks and known.readable and min(degree, known.max_degree) > 0
     return chooses_packing(goal, known) or chosen
+
+
+def target_of(
+    goal: Goal,
+    splats: Splats,
+    available: int,
+    path: Path,
+    chosen: Parameters,
+    sh_degree: int | None,
+) -> int | None:
+    """Return the count that meets the goal, or None if it has to be searched for.
+
+    Args:
+        goal: The target of the simplification.
+        splats: The model.
+        available: Number of its usable splats.
+        path: The output file; only its suffix counts.
+        chosen: Parameters of the method.
+        sh_degree: Degree of the result's harmonics, if one is asked for.
+
+    Raises:
+        OptionError: The goal cannot be met with this model or in this format.
+    """
+    if goal.size is None:
+        return goal.known_count(available)
+    known = registry.writable(path)
+    if known.file_bytes is None:
+        return None
+    file_bytes = known.file_bytes
+    like = splats if sh_degree is None else splats.with_sh_degree(sh_degree)
+    degree = splats.sh_degree if sh_degree is None else 0
+    searched = is_searched(goal, known, degree=degree, looks=renders(chosen))
+    if searched and file_bytes(like, available) > goal.size:
+        return None
+    return count_for_size(available, goal.size, lambda count: file_bytes(like, count))
 
 
 def target_count(available: int, ratio: float | None, count: int | None) -> int:

@@ -32,6 +32,9 @@ class Files(Protocol[R_contra]):
 
     clock: StageClock
 
+    def open_original(self) -> AbstractContextManager[Splats | Source]:
+        """Open the original, in its own frame."""
+
     def count(self, result: R_contra) -> int:
         """Return the number of splats of a result."""
 
@@ -84,6 +87,10 @@ class HeldFiles:
     def views(self) -> SelectionViews:
         """Renders of the original by which packings are chosen, on views not used for scoring."""
         return selection_views(self.original, automatic=self.by_psnr)
+
+    def open_original(self) -> AbstractContextManager[Splats]:
+        """Return the original, which is in memory."""
+        return nullcontext(self.original)
 
     def count(self, result: Outcome) -> int:
         """Return the number of splats of a result; see `Files.count`."""

@@ -16,18 +16,14 @@ from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.job.rows import opened, sample
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.run import Done, Run
-from nanogs.pipeline.search.draw_cost import search_draw_cost
 from nanogs.pipeline.search.file_size import SIZE_SAMPLE
-from nanogs.pipeline.search.filled import fill_size
+from nanogs.pipeline.search.find import find_result
 from nanogs.pipeline.search.job_results import JobResults, Result
-from nanogs.pipeline.search.packer import Packer, PackingForPsnr
-from nanogs.pipeline.search.psnr import search_psnr
 from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.pipeline.work import SHORT_RUN, Work
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport
-from nanogs.scoring.draw_views import draw_views
-from nanogs.scoring.held_out import SelectionViews, held_out, selection_views
+from nanogs.scoring.held_out import SelectionViews, selection_views
 from nanogs.sink import refuse_large
 from nanogs.source import InMemory, Reduced, Source, turned_source
 from nanogs.splats import Splats
@@ -67,8 +63,9 @@ class Search:
         """
         settings, sought = work.settings, work.settings.search
         assert sought is not None  # noqa: S101 - a search has a target
+        goal = sought.goal
         request = SizeRequest(
-            sought.size or 0,
+            goal.size or 0,
             registry.writable(self.output),
             self.options or {},
             settings.sh_degree,
@@ -76,20 +73,10 @@ class Search:
             most=sought.most,
         )
         results, files = JobResults(work, run, settings), _Files(self, work, run.clock)
-        if sought.size is not None:
-            found = fill_size(Packer(results, request, _sample(work), files, progress))
-        elif sought.psnr is not None:
-            progress.begin("measure")
-            with run.clock.time("measure"), files.original() as original:
-                views = held_out(original, progress.part, self.max_memory)
-            pack = PackingForPsnr(results, request, partial(_sample, work), files, progress)
-            found = search_psnr(pack, sought.psnr, views)
-        else:
-            progress.begin("measure")
-            with run.clock.time("measure"), files.original() as original:
-                drawn = draw_views(original, progress.part)
-            found = search_draw_cost(results, sought.draw_cost or 1.0, drawn, files, progress)
-        result, fields, notes = found
+        sample_of_work = partial(_sample, work)
+        result, fields, notes = find_result(
+            goal, request, lambda: results, sample_of_work, files, progress, self.max_memory
+        )
         return Done(result.work, run.kept, (result.level,), fields, notes)
 
     @contextmanager
@@ -135,11 +122,11 @@ class _Files:
         """The original on the views to choose by, which are not those that judge the result."""
         sought, most = self.work.settings.search, self.search.max_memory
         by_psnr = sought is not None and sought.psnr is not None
-        with self.original() as original:
+        with self.open_original() as original:
             return selection_views(original, most, automatic=by_psnr)
 
-    def original(self) -> AbstractContextManager[Source]:
-        """Open the model of the job."""
+    def open_original(self) -> AbstractContextManager[Source]:
+        """Open the model of the job; see `Files.open_original`."""
         return opened(self.work.settings, self.work.unpacked())
 
     def count(self, result: Result) -> int:
