@@ -38,7 +38,7 @@ from nanogs.pipeline.in_memory import import_stages
 from nanogs.pipeline.levels import checked_ratios, judged_levels
 from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.pipeline.reading import ChangedModel, changed, read_changed, reading_stages
-from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
+from nanogs.pipeline.request import Plan, Request, plan_files
 from nanogs.place import Place
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
@@ -300,20 +300,20 @@ def _whole(
     splats, beside = sky.in_memory(request, whole)
     notes = (*notes, *left_out, *sky.notes(beside))
     sink = _with(sink, beside)
-    if beside is not None and not beside.own and is_measured(request):
+    if beside is not None and not beside.own and request.is_compared:
         whole = Joined([InMemory(whole), InMemory(beside.original())]).load()
-    elif not is_measured(request):
+    elif not request.is_compared:
         whole = splats  # so that the splats of the environment are not held twice
     del model
     tracker = Tracker(on_step, _stages(request, len(splats)))
     made = judged_levels(
-        splats, request.ratios, judged=is_measured(request), sharing=request.sharing,
+        splats, request.ratios, judged=request.is_compared, sharing=request.sharing,
         preset=request.preset, sh_degree=request.sh_degree, cameras=request.cameras,
         up=request.up, nan=request.nan, device=request.device, threads=request.threads,
         max_memory=request.max_memory, progress=tracker.passing(), **request.overrides,
     )  # fmt: skip
     judge, reports = None, []
-    if is_measured(request):
+    if request.is_compared:
         tracker.begin("measure")
         turn, threads = request.frame, request.threads
         judge = file_judge(
@@ -343,7 +343,7 @@ def _stages(request: Request, splats: int) -> list[Stage]:
     If levels are measured, a stage "measure" comes first, in which the original is rendered; the
     time to measure the levels themselves counts as writing.
     """
-    measure = [measure_stage(splats)] if is_measured(request) else []
+    measure = [measure_stage(splats)] if request.is_compared else []
     counts = [target_count(splats, ratio, None) for ratio in request.ratios]
     stages = levels_stages(request.parameters, splats, counts)
     suffix = request.file.suffix

@@ -28,7 +28,7 @@ from nanogs.pipeline.options.presets import DEFAULT_PRESET, effective, renders
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.options.target import Goal, target_of
 from nanogs.pipeline.reading import changed, inspect_parts, read_parts
-from nanogs.pipeline.request import Request, is_measured, memory_of, plan_files
+from nanogs.pipeline.request import Request, memory_of, plan_files
 from nanogs.pipeline.search.file_size import first_two
 from nanogs.threads import usual_threads
 
@@ -269,7 +269,7 @@ def execute(plan: Plan, do: Callable[[Request], T]) -> T:
 
 def _preset_of_kernels(request: Request) -> str:
     """Return a preset that needs the kernels of a run."""
-    if renders(request.parameters) or is_measured(request):
+    if renders(request.parameters) or request.is_compared:
         return DEFAULT_PRESET
     return "paper" if isinstance(request.parameters, PaperParameters) else "fast"
 

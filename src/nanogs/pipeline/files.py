@@ -30,13 +30,14 @@ from nanogs.pipeline.in_memory import NanPolicy, import_stages
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters, renders
 from nanogs.pipeline.options.target import Goal, chooses_packing
 from nanogs.pipeline.reading import open_parts, read_changed, reading_stages
-from nanogs.pipeline.request import Plan, Request, is_measured, plan_files
+from nanogs.pipeline.request import Plan, Request, plan_files
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
 from nanogs.scoring.file_judge import file_costs, file_judge
 from nanogs.sink import OneFile
 from nanogs.source import joined_layout
+from nanogs.splats import Splats
 from nanogs.store.columns import no_splats
 from nanogs.threads import use_threads
 
@@ -300,6 +301,7 @@ def _in_memory(request: Request, plan: Plan, on_step: Progress | None) -> Simpli
 
 
 def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:
+    """Read the model, simplify it, write the result and measure its file."""
     clock, goal = StageClock(), request.goal
     output, options = request.output, request.format_options
     tracker = Tracker(on_step, _stages(request, plan))
@@ -312,6 +314,7 @@ def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -
         cameras=request.cameras, up=request.up, max_memory=request.max_memory,
         progress=tracker.passing(), format_options=options, **request.overrides,
     )  # fmt: skip
+    report = replace(report, notes=(*report.notes, *notes))
     options = {**(options or {}), **report.format_options}
     tracker.begin("write")
     with clock.time("write"):
@@ -319,33 +322,42 @@ def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -
             small, output, overwrite=request.overwrite, format_options=options,
             progress=tracker.passing(),
         )  # fmt: skip
-    judged, packed = report.judged, None
-    if is_measured(request) and judged is None:
-        tracker.begin("measure")
-        with clock.time("measure"):
-            turn, threads = request.frame, request.threads
-            judge = file_judge(
-                splats, request.suffix, turn=turn, threads=threads, on_progress=tracker.part
-            )
-            judged, packed = judge.beside(output, small)
-        notes += judge.notes
-    costs = report.cost, report.original_cost
-    if request.measured and report.cost is None:
-        with clock.time("measure"):
-            found = file_costs(splats, output, request.frame, request.threads)
-        costs = (found[0], found[1]) if found else (None, None)
+    report = _with_scores(report, request, splats, small, tracker, clock)
     tracker.finish()
     return replace(
         report,
-        cost=costs[0],
-        original_cost=costs[1],
-        judged=judged,
-        packed=packed,
-        notes=tuple(dict.fromkeys((*report.notes, *notes, *losses(small, output)))),
+        notes=tuple(dict.fromkeys((*report.notes, *losses(small, output)))),
         read_count=plan.splats,
         filters=filtered,
         seconds=_around(clock, report.seconds),
     )
+
+
+def _with_scores(
+    report: SimplifyReport,
+    request: Request,
+    original: Splats,
+    small: Splats,
+    tracker: Tracker,
+    clock: StageClock,
+) -> SimplifyReport:
+    """Measure the result's file as far as that is asked for and no search has done so."""
+    output, turn, threads = request.output, request.frame, request.threads
+    if request.is_compared and report.judged is None:
+        tracker.begin("measure")
+        with clock.time("measure"):
+            judge = file_judge(
+                original, request.suffix, turn=turn, threads=threads, on_progress=tracker.part
+            )
+            judged, packed = judge.beside(output, small)
+        notes = (*report.notes, *judge.notes)
+        report = replace(report, judged=judged, packed=packed, notes=notes)
+    if request.measured and report.cost is None:
+        with clock.time("measure"):
+            costs = file_costs(original, output, turn, threads)
+        if costs:
+            report = replace(report, cost=costs[0], original_cost=costs[1])
+    return report
 
 
 def _stages(request: Request, plan: Plan) -> list[Stage]:
@@ -359,7 +371,7 @@ def _stages(request: Request, plan: Plan) -> list[Stage]:
     stages = reading_stages(request.edits, splats)
     stages += simplify_stages(request.parameters, goal, splats, count, suffix)
     stages.append(Stage("write", write_weight(suffix, count or splats // 10)))
-    return [*stages, measure_stage(splats)] if is_measured(request) and not goal.psnr else stages
+    return [*stages, measure_stage(splats)] if request.is_compared and not goal.psnr else stages
 
 
 def _around(clock: StageClock, inner: dict[str, float]) -> dict[str, float]:

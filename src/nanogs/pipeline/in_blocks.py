@@ -176,7 +176,7 @@ def plan_job(
             there is not enough memory.
     """
     chosen = block_parameters(request.preset, request.overrides)
-    changes = request.changes
+    changes = request.changes()
     changes.check()
     inputs, layout = describe_inputs(request.inputs, changes)
     allowed = request.max_memory if max_memory is None else max_memory

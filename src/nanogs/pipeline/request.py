@@ -171,9 +171,8 @@ class Request:
         degree = None if fitted else self.sh_degree
         return Changes(self.filters, degree, self.frame, render_mode=mode)
 
-    @property
     def changes(self) -> Changes:
-        """The edits with the views that are asked for; a camera file is read at each access."""
+        """Return the edits with the views that are asked for, which reads a file of cameras."""
         return replace(self.edits, asked=requested_views(self.cameras, self.up))
 
     @property
@@ -225,6 +224,14 @@ class Request:
             return [target_count(splats, goal.ratio, goal.count) for goal in self.goals]
         like = no_splats(layout)
         return [count_for_size(splats, self.goal.size, lambda count: sizer(like, count))]
+
+    @property
+    def is_compared(self) -> bool:
+        """Whether the result of a model in memory is compared with the input.
+
+        `Goal.is_measured` is something else: that the count is found by measuring results.
+        """
+        return renders(self.parameters) if self.measured is None else self.measured
 
     @property
     def folder(self) -> Path:
@@ -367,9 +374,9 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
         target: Splats of the largest result.
     """
     # A preset that renders takes as much memory before as measuring one result does.
-    measured = is_measured(request) and (bool(request.ratios) or not renders(request.parameters))
+    compared = request.is_compared and (bool(request.ratios) or not renders(request.parameters))
     searched = not request.ratios and request.searches(degree)
-    judged = measured or searched
+    judged = compared or searched
     plan = plan_memory(splats, degree, extra, request.parameters, target, judged=judged)
     if searched:
         plan = plan_search(plan, splats, request.goal, registry.writable(request.output))
@@ -379,8 +386,3 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
             return plan_writing(plan, splats, target, known)
         return plan
     return plan_chunks(plan, splats, degree, target, request.ratios, request.chunks)
-
-
-def is_measured(request: Request) -> bool:
-    """Whether the result of a model in memory is compared with the input."""
-    return renders(request.parameters) if request.measured is None else request.measured
