@@ -628,12 +628,12 @@ def test_the_candidate_of_highest_quality_is_chosen_and_marked_once(
         return dataclasses.replace(candidate, quality=given_qualities[stage, number])
 
     monkeypatch.setattr(trials, "_report", report)
-    trials.pick(scene, Task("pick"))
+    trials.pick_cut(scene, Task("pick"))
     balances = [0.5, 0.8, 1.0]
     leader = int(np.argmax(qualities[:3]))
     assert scene.picked(0) == leader
     step = 0
-    while trials.grows_on(scene, 0, step):
+    while trials.growth_is_promising(scene, 0, step):
         trials.candidates(scene, 0, step + 1)
         step += 1
     trials.choose(scene, Task("choose"))

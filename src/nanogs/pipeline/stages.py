@@ -5,7 +5,7 @@ it can be done anywhere, at any time, and again.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from itertools import chain
 from typing import Any, Literal
@@ -18,8 +18,12 @@ from nanogs.method.correct import unseen_changes
 from nanogs.method.parameters import MOST_CORRECTIONS
 from nanogs.pipeline.estimates.stage_weights import (
     Load,
+    correcting_seconds,
     fitting_seconds,
+    judging_seconds,
     looking_seconds,
+    settling_seconds,
+    trying_seconds,
 )
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.options.settings import COARSE_SHARES, Settings, most_coarse
@@ -40,11 +44,11 @@ from nanogs.pipeline.tasks.parts import write_rest
 from nanogs.pipeline.tasks.sorted_segments import spill
 from nanogs.pipeline.tasks.trials import (
     choose,
-    corrected,
-    corrects_on,
-    grows_on,
+    correction_is_promising,
+    growth_is_promising,
+    has_corrected,
     nth,
-    pick,
+    pick_cut,
     try_balances,
     try_corrected,
     try_growth,
@@ -79,16 +83,19 @@ class JobStage:
         levels: Number of levels that it is done for; None for each result.
         needed: Whether there is anything to do for a level, once the stages before it are done.
         held: Whether a model in memory has the stage, too.
+        last: Whether it comes after all results are made.
     """
 
     name: str
     per: Per
     do: Callable[[Any, Task], Record]
     seconds: Seconds
+    _: KW_ONLY
     wanted: Callable[[Any], bool] = _always
     levels: int | None = 1
     needed: Callable[[Any, int], bool] = _always
     held: bool = False
+    last: bool = False
 
     def count(self, scene: Scene, level: int) -> int:
         """Return the number of tasks for a level; the stages before it must be done."""
@@ -120,12 +127,13 @@ def do(scene: Scene, task: Task) -> Record:
 def stages_of(settings: Settings) -> Iterator[tuple[JobStage, int]]:
     """Yield the stages of a job in blocks in order, each with its level."""
     wanted = [stage for stage in STAGES.values() if stage.wanted(settings)]
-    before = wanted[: next(i for i, stage in enumerate(wanted) if stage.levels is None)]
-    yield from ((stage, level) for stage in before for level in range(stage.levels or 0))
+    for stage in wanted:
+        if stage.levels is not None and not stage.last:
+            yield from ((stage, level) for level in range(stage.levels))
     for level in range(settings.levels):
         yield from level_stages(settings, level)
     for stage in wanted:
-        if stage.name in _AFTER:
+        if stage.last:
             levels = settings.levels if stage.levels is None else stage.levels
             yield from ((stage, level) for level in range(levels))
 
@@ -133,7 +141,7 @@ def stages_of(settings: Settings) -> Iterator[tuple[JobStage, int]]:
 def level_stages(settings: Settings, level: int) -> Iterator[tuple[JobStage, int]]:
     """Yield the stages of one result of a job in blocks; those after all results are left out."""
     for stage in STAGES.values():
-        if stage.levels is None and stage.name not in _AFTER and stage.wanted(settings):
+        if stage.levels is None and not stage.last and stage.wanted(settings):
             yield stage, level
 
 
@@ -236,6 +244,9 @@ def _part(scene: Scene, task: Task) -> Record:
     return scene.keep_part(task.name, task.level, small)
 
 
+# Whether a job has a stage: `JobStage.wanted`.
+
+
 def _looks(job: Settings | Load) -> bool:
     return renders(job.parameters)
 
@@ -256,6 +267,10 @@ def _fits(job: Settings | Load) -> bool:
     return job.parameters.steps > 0
 
 
+def _corrects(step: int, job: Settings | Load) -> bool:
+    return _guided(job) and step < job.parameters.corrections
+
+
 def _in_chunks(settings: Settings) -> bool:
     return isinstance(settings.chunks, Chunked)
 
@@ -266,6 +281,9 @@ def _in_a_tree(settings: Settings) -> bool:
 
 def _unpacks(settings: Settings) -> bool:
     return bool(settings.unpacked)
+
+
+# Whether there is anything to do for a level: `JobStage.needed`.
 
 
 def _divided(scene: Scene, _level: int) -> bool:
@@ -284,95 +302,98 @@ def _shows(scene: Scene, _level: int) -> bool:
     return scene.looks
 
 
-def _grows(step: int, scene: Scene, level: int) -> bool:
-    return scene.tries(level) and grows_on(scene, level, step)
+def _may_grow(step: int, scene: Scene, level: int) -> bool:
+    return scene.tries(level) and growth_is_promising(scene, level, step)
 
 
-def _within(step: int, job: Settings | Load) -> bool:
-    return _guided(job) and step < job.parameters.corrections
+def _may_correct(step: int, scene: Scene, level: int) -> bool:
+    return scene.tries(level) and correction_is_promising(scene, level, step)
 
 
-def _corrects(step: int, scene: Scene, level: int) -> bool:
-    return scene.tries(level) and corrects_on(scene, level, step)
+def _has_corrected(step: int, scene: Scene, level: int) -> bool:
+    return _may_correct(step, scene, level) and has_corrected(scene, level, step)
 
 
-def _corrected(step: int, scene: Scene, level: int) -> bool:
-    return _corrects(step, scene, level) and corrected(scene, level, step)
+_for_each_result = partial(JobStage, levels=None)
 
 
-def _correcting(load: Load) -> float:
-    views = load.parameters.views + load.parameters.pictured
-    return views * (0.006 * (load.parameters.view_size / 512) ** 2 + 0.15 * load.left)
-
-
-def _correction(step: int) -> tuple[JobStage, ...]:
+def _correction_stages(step: int) -> tuple[JobStage, ...]:
     """Return the stages that correct errors once more, and measure the cut that follows."""
-    wanted, found = partial(_within, step), partial(_corrected, step)
+    wanted, corrected = partial(_corrects, step), partial(_has_corrected, step)
     return (
-        JobStage(
-            nth("correct", step), "block", partial(correct, step), _correcting, wanted, None,
-            partial(_corrects, step), held=True,
+        _for_each_result(
+            nth("correct", step), "block", partial(correct, step), correcting_seconds,
+            wanted=wanted, needed=partial(_may_correct, step), held=True,
         ),
-        JobStage(
-            nth("budget", step), "job", partial(_budget_corrected, step), 0.02, wanted, None,
-            found,
+        _for_each_result(
+            nth("budget", step), "job", partial(_budget_corrected, step), 0.02,
+            wanted=wanted, needed=corrected,
         ),
-        JobStage(
-            nth("trial", step), "block", partial(try_corrected, step), _judging, wanted, None,
-            found, held=True,
+        _for_each_result(
+            nth("trial", step), "block", partial(try_corrected, step), judging_seconds,
+            wanted=wanted, needed=corrected, held=True,
         ),
     )  # fmt: skip
 
 
-def _settling(load: Load) -> float:
-    return (0.1 + 0.6 * load.parameters.rounds) * load.splats
-
-
-def _trying(load: Load) -> float:
-    return len(load.parameters.balances) * _judging(load)
-
-
-def _judging(load: Load) -> float:
-    return 0.01 + 0.2 * load.splats + 1.5 * load.left
-
-
-def _growing(step: int) -> JobStage:
+def _growth_stage(step: int) -> JobStage:
     """Return the stage that tries a growth; those after the first are seldom needed."""
-    return JobStage(
+    return _for_each_result(
         nth("growth", step), "block", partial(try_growth, step),
-        _judging if step == 0 else lambda load: 0.1 * _judging(load), _guided, None,
-        partial(_grows, step), held=True,
+        judging_seconds if step == 0 else lambda load: 0.1 * judging_seconds(load),
+        wanted=_guided, needed=partial(_may_grow, step), held=True,
     )  # fmt: skip
 
 
 STAGES = {
     stage.name: stage
     for stage in (
-        JobStage("unpack", "file", _unpack, 1.0, _unpacks),
+        JobStage("unpack", "file", _unpack, 1.0, wanted=_unpacks),
         JobStage("frame", "job", _units, 0.3, held=True),
         JobStage("segment", "segment", spill, 0.5),
         JobStage("partition", "job", _partition, 0.05),
-        JobStage("rough", "block", _rough, 3.0, _looks, needed=_divided),
-        JobStage("outline", "job", _outline, 0.02, _looks),
-        JobStage("coarse", "block", write_coarse, 0.5, _looks, len(COARSE_SHARES), _divided),
-        JobStage("views", "job", _views, 0.2, _looks, held=True),
-        JobStage("look", "block", look_at_block, looking_seconds, _looks, needed=_shows, held=True),
+        JobStage("rough", "block", _rough, 3.0, wanted=_looks, needed=_divided),
+        JobStage("outline", "job", _outline, 0.02, wanted=_looks),
+        JobStage(
+            "coarse", "block", write_coarse, 0.5,
+            wanted=_looks, levels=len(COARSE_SHARES), needed=_divided,
+        ),
+        JobStage("views", "job", _views, 0.2, wanted=_looks, held=True),
+        JobStage(
+            "look", "block", look_at_block, looking_seconds,
+            wanted=_looks, needed=_shows, held=True,
+        ),
         JobStage("grow", "block", _grow, 3.3, held=True),
-        JobStage("budget", "job", _budget, 0.02, levels=None),
-        JobStage("trial", "block", try_balances, _trying, _guided, None, Scene.tries, held=True),
-        *chain.from_iterable(map(_correction, range(MOST_CORRECTIONS))),
-        JobStage("pick", "job", pick, 0.0, _guided, None, Scene.tries, held=True),
-        JobStage("cut", "block", _cut, 0.2, _settles, None, _merges),
-        JobStage("settle", "block", _settle, _settling, _settles, None, _merges, held=True),
-        JobStage("judge", "block", try_reassigned, _judging, _judges, None, Scene.tries, held=True),
-        *map(_growing, range(len(GROWTHS))),
-        JobStage("choose", "job", choose, 0.0, _guided, None, Scene.tries, held=True),
-        JobStage("part", "block", _part, 0.2, levels=None, held=True),
-        JobStage("fit", "block", fit_part, fitting_seconds, _fits, None, Scene.fits, held=True),
-        JobStage("rest", "job", write_rest, 0.2, _in_chunks, levels=None),
-        JobStage("cells", "block", write_cells, 0.5, _in_chunks),
-        JobStage("chunk", "block", write_chunks, 1.0, _in_chunks, levels=None),
-        JobStage("tree", "block", write_tree, 9.0, _in_a_tree, needed=_links),
+        _for_each_result("budget", "job", _budget, 0.02),
+        _for_each_result(
+            "trial", "block", try_balances, trying_seconds,
+            wanted=_guided, needed=Scene.tries, held=True,
+        ),
+        *chain.from_iterable(map(_correction_stages, range(MOST_CORRECTIONS))),
+        _for_each_result(
+            "pick", "job", pick_cut, 0.0, wanted=_guided, needed=Scene.tries, held=True
+        ),
+        _for_each_result("cut", "block", _cut, 0.2, wanted=_settles, needed=_merges),
+        _for_each_result(
+            "settle", "block", _settle, settling_seconds,
+            wanted=_settles, needed=_merges, held=True,
+        ),
+        _for_each_result(
+            "judge", "block", try_reassigned, judging_seconds,
+            wanted=_judges, needed=Scene.tries, held=True,
+        ),
+        *map(_growth_stage, range(len(GROWTHS))),
+        _for_each_result(
+            "choose", "job", choose, 0.0, wanted=_guided, needed=Scene.tries, held=True
+        ),
+        _for_each_result("part", "block", _part, 0.2, held=True),
+        _for_each_result(
+            "fit", "block", fit_part, fitting_seconds,
+            wanted=_fits, needed=Scene.fits, held=True,
+        ),
+        _for_each_result("rest", "job", write_rest, 0.2, wanted=_in_chunks, last=True),
+        JobStage("cells", "block", write_cells, 0.5, wanted=_in_chunks, last=True),
+        _for_each_result("chunk", "block", write_chunks, 1.0, wanted=_in_chunks, last=True),
+        JobStage("tree", "block", write_tree, 9.0, wanted=_in_a_tree, needed=_links, last=True),
     )
-}
-_AFTER = ("rest", "cells", "chunk", "tree")  # stages that come after all results are made
+}  # fmt: skip

@@ -47,6 +47,27 @@ def fitting_seconds(load: Load) -> float:
     return fit.weight + drawn * _render(load)
 
 
+def trying_seconds(load: Load) -> float:
+    """Estimate the seconds of measuring the cuts of all balances."""
+    return len(load.parameters.balances) * judging_seconds(load)
+
+
+def judging_seconds(load: Load) -> float:
+    """Estimate the seconds of measuring one candidate."""
+    return 0.01 + 0.2 * load.splats + 1.5 * load.left
+
+
+def correcting_seconds(load: Load) -> float:
+    """Estimate the seconds of correcting the errors of a cut."""
+    views = load.parameters.views + load.parameters.pictured
+    return views * (0.006 * (load.parameters.view_size / 512) ** 2 + 0.15 * load.left)
+
+
+def settling_seconds(load: Load) -> float:
+    """Estimate the seconds of reassigning the splats after a cut."""
+    return (0.1 + 0.6 * load.parameters.rounds) * load.splats
+
+
 def published_stages(splats: int) -> list[Stage]:
     """Return the stages of the published method."""
     millions = splats / _MILLION

@@ -40,12 +40,12 @@ def try_corrected(step: int, scene: Scene, task: Task) -> Record:
     return _try_cuts(scene, task, [len(scene.balances) + step])
 
 
-def corrects_on(scene: Scene, level: int, step: int) -> bool:
+def correction_is_promising(scene: Scene, level: int, step: int) -> bool:
     """Whether a correction is worth trying: the first one, or if the one before was the best."""
     return step == 0 or best_cut(scene, level, step) == len(scene.balances) + step - 1
 
 
-def corrected(scene: Scene, level: int, step: int) -> bool:
+def has_corrected(scene: Scene, level: int, step: int) -> bool:
     """Whether a correction found errors to correct in any block; its stage must be done."""
     return any(any(record.facts[SUMS]) for record in scene.of_blocks(nth("correct", step), level))
 
@@ -62,7 +62,7 @@ def best_cut(scene: Scene, level: int, corrections: int | None = None) -> int:
     return max(range(len(reports)), key=lambda number: reports[number].quality)
 
 
-def pick(scene: Scene, task: Task) -> Record:
+def pick_cut(scene: Scene, task: Task) -> Record:
     """Write the number of the best cut for the whole scene."""
     return scene.write(task.name, {}, {"cut": best_cut(scene, task.level)})
 
@@ -89,7 +89,7 @@ def try_growth(step: int, scene: Scene, task: Task) -> Record:
     return _try(scene, task, growth, reassigned=best.reassigned)
 
 
-def grows_on(scene: Scene, level: int, step: int) -> bool:
+def growth_is_promising(scene: Scene, level: int, step: int) -> bool:
     """Whether a growth is worth trying: it exists, and each before it clearly helped."""
     if step >= len(further_growths(scene.settings.parameters.growth)):
         return False
@@ -158,7 +158,7 @@ def _cuts(scene: Scene, level: int, corrections: int | None = None) -> list[Cand
     best = max(tried, key=lambda report: report.quality)
     most = scene.settings.parameters.corrections if corrections is None else corrections
     for step in range(most):
-        if not corrected(scene, level, step):
+        if not has_corrected(scene, level, step):
             break
         report = replace(tried[-1], balance=scene.balances[-1], corrections=step + 1)
         tried.append(_report(scene, level, nth("trial", step), report))
