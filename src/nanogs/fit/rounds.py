@@ -140,9 +140,18 @@ def fit(
         best, share = _line_search(guard, best, small, reached)
         if best is not None and not last and share == 1:
             best = best.copy()  # because the descent continues to change its state in place
-        seconds = time.perf_counter() - begin
-        psnrs = _psnr(_mean(errors)), before, _mean(guard.best)
-        reports.append(RoundReport(FITTED, len(errors), rate, *psnrs, share, seconds))
+        reports.append(
+            RoundReport(
+                fitted=FITTED,
+                steps=len(errors),
+                rate=rate,
+                fit_psnr=_psnr(_mean(errors)),
+                psnr_before=before,
+                psnr_after=_mean(guard.best),
+                share=share,
+                seconds=time.perf_counter() - begin,
+            )
+        )
         if share < 1 and not last:
             descent.begin(best or start(small))
         if share < 1:
@@ -154,13 +163,13 @@ def fit(
     nothing = "No step of the fit improved the validation views, so the model was not changed."
     notes = range_notes(best) if best else (nothing,)
     outcome = FitOutcome(
-        guard.reports(),
-        _mean(guard.before),
-        _mean(guard.best),
-        improved,
-        tuple(reports),
-        stop,
-        notes,
+        groups=guard.reports(),
+        psnr_before=_mean(guard.before),
+        psnr_after=_mean(guard.best),
+        improved=improved,
+        rounds=tuple(reports),
+        stop=stop,
+        notes=notes,
     )
     return guard.delivered(best) if best else small, outcome
 

@@ -125,10 +125,14 @@ def _one_pass(
     with clock.time("match"):
         plan = match(pairs, costs, count, count // 2)
         chosen = _increments(merge_increments, plan.pairs, nodes, dets)
-    highest = float(plan.costs[-1]) if len(plan) else None
-    left = count - len(plan)
     report = PassReport(
-        count, len(pairs), plan.without_cost, len(plan), left, highest, clock.seconds
+        count_before=count,
+        candidates=len(pairs),
+        without_cost=plan.without_cost,
+        merged=len(plan),
+        count_after=count - len(plan),
+        highest_cost=float(plan.costs[-1]) if len(plan) else None,
+        seconds=clock.seconds,
     )
     return plan, chosen, report
 

@@ -183,19 +183,18 @@ def plan_job(
     sought = search_target(request, layout, sum(each.splats for each in inputs), allowed)
     seen = sought is not None and (sought.goal.is_measured or renders(chosen))
     if request.measured or seen:
-        with Joined(open_parts(request.inputs, request.render_mode)) as source:
-            remedy = "ask for a ratio or a count" if seen else "leave out the measurement"
-            room_for_measuring(source, request.max_memory, remedy)
-    beside = pictures_bytes(PIXELS**2, VIEWS) if seen else 0
-
+        _refuse_no_room_to_measure(request, searched=seen)
     delivered = layout.reduced(request.sh_degree)
 
     def planned(splats: int) -> ScalePlan:
         # A search may try any count, and keeps the files of two results at a time.
         counts = [] if sought else request.counts(splats, delivered)
         shares = tuple(count / splats for count in counts) or (1.0, 1.0)
-        given = max_memory, block, request.chunks, beside, reason
-        return plan_blocks(splats, layout, chosen, shares, *given, searched=sought is not None)
+        return plan_blocks(
+            splats, layout, chosen, shares, max_memory, block, request.chunks,
+            beside=pictures_bytes(PIXELS**2, VIEWS) if seen else 0,
+            limit=reason, searched=sought is not None,
+        )  # fmt: skip
 
     plan = planned(sum(each.splats for each in inputs))
     refuse_large_whole(inputs, plan.segment)
@@ -224,6 +223,21 @@ def plan_job(
     )
     _refuse_small(request, settings)
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory, reason)
+
+
+def _refuse_no_room_to_measure(request: "Request", *, searched: bool) -> None:
+    """Refuse to measure results on renders of the original if there is no memory for these.
+
+    Args:
+        request: All arguments of the call.
+        searched: Whether they are measured to find the count.
+
+    Raises:
+        NotEnoughMemoryError: There is not.
+    """
+    remedy = "ask for a ratio or a count" if searched else "leave out the measurement"
+    with Joined(open_parts(request.inputs, request.render_mode)) as source:
+        room_for_measuring(source, request.max_memory, remedy)
 
 
 def _refuse_small(request: "Request", settings: Settings) -> None:

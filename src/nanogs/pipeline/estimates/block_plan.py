@@ -90,9 +90,9 @@ def plan_blocks(
     max_memory: int | None,
     block: int | None = None,
     chunks: Chunked | Linked | None = None,
+    *,
     beside: int = 0,
     limit: MemoryLimit = MemoryLimit.GIVEN,
-    *,
     searched: bool = False,
 ) -> ScalePlan:
     """Plan blocks as large as the memory allows.

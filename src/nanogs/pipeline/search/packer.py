@@ -96,16 +96,23 @@ class Packer(Generic[T]):
         """Choose the packing."""
         degree = self.sample.sh_degree
         choices = self.request.choices(degree)
-        limits = choices.degrees[-1], self.request.wanted(degree), self.request.known.suffix
+        packed = partial(
+            Packed,
+            highest=choices.degrees[-1],
+            wanted=self.request.wanted(degree),
+            suffix=self.request.known.suffix,
+        )
         self.progress.begin("guess")
         looks = self.results.looks and choices.any
         if not looks or not self.files.shows():
             packing = self._unseen(choices)
-            return Packed(packing, self.guess(packing), (), *limits, blind=looks)
+            return packed(packing, self.guess(packing), (), blind=looks)
         self.progress.begin("pack")
-        slope = self._slope(choices)
-        given = self.guess, self._attempt, self.results.available
-        return Packed(*choose_packing(choices, self.request.size, slope, *given), *limits)
+        packing, count, tried = choose_packing(
+            choices, self.request.size, self._slope(choices), self.guess, self._attempt,
+            self.results.available,
+        )  # fmt: skip
+        return packed(packing, count, tried)
 
     def _unseen(self, choices: Choices) -> Packing:
         """Return the packing if nothing is rendered.

@@ -149,12 +149,9 @@ def _cuts(scene: Scene, level: int, corrections: int | None = None) -> list[Cand
     """
     growth = scene.settings.parameters.growth
     tried = [
-        _report(
-            scene, level, "trial",
-            CandidateReport(balance, 0, False, growth, 0.0, 0.0, 0.0, False), n,
-        )
+        _report(scene, level, "trial", _unscored(balance, growth), n)
         for n, balance in enumerate(scene.balances)
-    ]  # fmt: skip
+    ]
     best = max(tried, key=lambda report: report.quality)
     most = scene.settings.parameters.corrections if corrections is None else corrections
     for step in range(most):
@@ -166,6 +163,14 @@ def _cuts(scene: Scene, level: int, corrections: int | None = None) -> list[Cand
             break
         best = tried[-1]
     return tried
+
+
+def _unscored(balance: float, growth: float) -> CandidateReport:
+    """Return a cut of a balance as a candidate that `_report` has yet to score."""
+    return CandidateReport(
+        balance=balance, corrections=0, reassigned=False, growth=growth,
+        psnr=0.0, ssim=0.0, quality=0.0, chosen=False,
+    )  # fmt: skip
 
 
 def _try_cuts(scene: Scene, task: Task, numbers: Sequence[int]) -> Record:
