@@ -20,9 +20,9 @@ from nanogs.io import registry, round_trip_with_size
 from nanogs.io.format import Sharing
 from nanogs.pipeline.one_block import whole_settings
 from nanogs.pipeline.options.presets import PRESETS, SEARCHED_STEPS, parameters, with_longer_fit
+from nanogs.pipeline.options.settings import brief
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
-from nanogs.pipeline.run import brief
 from nanogs.pipeline.search.files import HeldFiles
 from nanogs.pipeline.search.packing import (
     FIRST_SHARE,

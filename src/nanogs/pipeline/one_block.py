@@ -78,7 +78,7 @@ class OneBlock(Scene):
         settings: Settings of the simplification.
         threads: Number of threads in use.
         on_progress: Progress callback for the parts of the current task.
-        asked: Number of splats asked for.
+        asked_count: Number of splats asked for.
         visible: (N,) float64 in [0, 1], the share of each splat's alpha that reaches the views in
             which it lies; 1 for one that lies in none. None if nothing was rendered.
         missed: (N,) bool, the splats that lie in no view.
@@ -93,7 +93,7 @@ class OneBlock(Scene):
     settings: Settings
     threads: int
     on_progress: PartProgress = ignore_progress
-    asked: int = 0
+    asked_count: int = 0
     _records: dict[str, Record] = field(default_factory=dict)
     _views: Views | None = None
     _shots: list[Target] = field(default_factory=list)
@@ -106,8 +106,10 @@ class OneBlock(Scene):
     missed_light: MissedLight = field(default_factory=MissedLight)
     _forest: Forest | None = None
     _leaves: Nodes | None = None
-    # The result in progress: labels and scores by cut, the latest groups with their labels, splats.
-    _labels: dict[str, I32] = field(default_factory=dict)
+    # The result in progress: labels and scores by cut, labels after reassignment, the latest groups
+    # with their labels, splats.
+    _cuts: dict[int, I32] = field(default_factory=dict)
+    _settled: I32 | None = None
     _corrected: dict[int, F] = field(default_factory=dict)  # scores of a cut with corrected errors
     _stored: list[tuple[I32, Groups]] = field(default_factory=list)
     _part: Splats | None = None
@@ -122,8 +124,9 @@ class OneBlock(Scene):
             count: Splats to deliver.
         """
         return replace(
-            self, asked=count, _records=dict(self._records), _labels={}, _corrected={}, _stored=[]
-        )
+            self, asked_count=count, _records=dict(self._records),
+            _cuts={}, _settled=None, _corrected={}, _stored=[],
+        )  # fmt: skip
 
     # What is known.
 
@@ -162,7 +165,7 @@ class OneBlock(Scene):
 
     def target(self, level: int) -> int:
         """Return the number of splats asked for, or the forest's fewest if that is more."""
-        return max(self.asked, self.forest.fewest)
+        return max(self.asked_count, self.forest.fewest)
 
     def merges(self, level: int) -> bool:
         """Whether a result has fewer splats than the model."""
@@ -291,15 +294,14 @@ class OneBlock(Scene):
 
     def cut(self, block: int, level: int, number: int) -> I32:
         """Return the group of each leaf, computed once per cut; see `Scene.cut`."""
-        key, forest, target = f"cut {number}", self.forest, self.target(level)
-        if key not in self._labels:
-            corrected = self._corrected.get(number)
-            self._labels[key] = (
-                cut(forest, target, self.balances[number])
-                if corrected is None
-                else label_groups(forest.splats, forest.children, corrected, target)
-            )
-        return self._labels[key]
+        if number not in self._cuts:
+            forest, target = self.forest, self.target(level)
+            if (scores := self._corrected.get(number)) is None:
+                labels = cut(forest, target, self.balances[number])
+            else:
+                labels = label_groups(forest.splats, forest.children, scores, target)
+            self._cuts[number] = labels
+        return self._cuts[number]
 
     def ordering(self, own: Block, block: int, level: int, number: int) -> Ordering:
         """Return the merges and their errors, as a cut is guided by them."""
@@ -323,21 +325,21 @@ class OneBlock(Scene):
     def settle(self, name: str, block: int, level: int) -> Record:
         """Reassign the splats after the chosen cut; see `Scene.settle`."""
         assert self._leaves is not None  # noqa: S101 - an earlier stage
-        labels = self.cut(block, level, self.picked(level))
+        picked = self.picked(level)
+        labels = self.cut(block, level, picked)
         # Only the chosen cut is used from here on: free the other candidates.
-        self._labels, self._corrected = {f"cut {self.picked(level)}": labels}, {}
+        self._cuts, self._corrected = {picked: labels}, {}
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
         blurs = self.placement.dilation.blurs(self._leaves.means)
-        found, done = reassign(self._leaves, labels, groups, rounds, blurs)
-        self._labels["settled"] = found
+        self._settled, done = reassign(self._leaves, labels, groups, rounds, blurs)
         return self.write(name, {}, {ROUNDS: done})
 
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
         """Return the splats and groups of the chosen cut, or after reassignment."""
         own = self.open(block)
-        chosen = self.cut(block, level, self.picked(level))
-        labels = self._labels["settled"] if reassigned else chosen
+        labels = self._settled if reassigned else self.cut(block, level, self.picked(level))
+        assert labels is not None  # noqa: S101 - an earlier stage
         return Members(own.splats, own.rows, own.visible, labels)
 
     def stored(self, members: Members) -> Groups:
@@ -379,12 +381,13 @@ class OneBlock(Scene):
         assert self._part is not None  # noqa: S101 - an earlier stage
         return self._part
 
-    def keep_part(self, name: str, level: int, small: Splats) -> Record:
+    def keep_part(self, name: str, small: Splats) -> Record:
         """Keep the splats of a result, and free the groups they were made from."""
-        self._labels, self._corrected, self._stored, self._part = {}, {}, [], small
+        self._cuts, self._settled, self._corrected, self._stored = {}, None, {}, []
+        self._part = small
         return self.write(name, {}, {})
 
-    def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
+    def keep_fit(self, name: str, fitted: Splats, report: RefitReport | None) -> Record:
         """Keep the splats of a result after the fit, and the report of the fit."""
         self._part, self._fit = fitted, report
         return self.write(name, {}, {})

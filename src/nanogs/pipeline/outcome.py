@@ -39,7 +39,7 @@ class Outcome:
 
 def outcome_of(scene: "OneBlock") -> Outcome:
     """Return the result of a model in memory, with report data."""
-    stop = StopReason.TARGET if scene.target(0) == scene.asked else scene.forest.stop
+    stop = StopReason.TARGET if scene.target(0) == scene.asked_count else scene.forest.stop
     return Outcome(splats=scene.part(0, 0), stop=stop, **report_fields(scene, 0))
 
 

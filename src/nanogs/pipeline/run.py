@@ -1,9 +1,8 @@
 """Running the stages of a scene in order: of a model in memory, or as tasks of a job."""
 
-import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from nanogs.clock import StageClock
@@ -16,10 +15,6 @@ from nanogs.pipeline.work import BEGUN, Work
 from nanogs.progress import Tracker, ignore_progress
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import verified, write_table
-
-# Steps of the fit of results that are only compared with each other: a share of all, but this many
-# at least. More steps, or corrected errors, hardly change which packing is the best.
-BRIEF, LEAST_STEPS = 0.05, 4
 
 
 class Runner(Protocol):
@@ -180,31 +175,6 @@ def deliver(scene: OneBlock, count: int, clock: StageClock, progress: Tracker) -
     own = scene.asking(count)
     _do_here(own, held_stages(scene.settings, results=True), clock, progress)
     return outcome_of(own)
-
-
-def plain(settings: Settings, rounds: int | None = None) -> Settings:
-    """Return the settings for results that are cut without rendering.
-
-    Args:
-        settings: The usual settings.
-        rounds: Rounds of reassignment; by default unchanged.
-    """
-    given = settings.parameters
-    parameters = replace(
-        given, guided=False, steps=0, rounds=given.rounds if rounds is None else rounds
-    )
-    return replace(settings, parameters=parameters)
-
-
-def brief(settings: Settings) -> Settings:
-    """Return the settings for results that are only compared: a short fit and no corrections.
-
-    Args:
-        settings: The usual settings.
-    """
-    given = settings.parameters
-    steps = min(max(math.ceil(BRIEF * given.steps), LEAST_STEPS), given.steps)
-    return replace(settings, parameters=replace(given, steps=steps, corrections=0))
 
 
 def _do_here(

@@ -305,11 +305,11 @@ class Scene(ABC):
         """Return the splats of a block in a result, before the fit."""
 
     @abstractmethod
-    def keep_part(self, name: str, level: int, small: Splats) -> Record:
+    def keep_part(self, name: str, small: Splats) -> Record:
         """Keep the splats of a block in a result, before the fit."""
 
     @abstractmethod
-    def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
+    def keep_fit(self, name: str, fitted: Splats, report: RefitReport | None) -> Record:
         """Keep the splats of a block in a result after the fit; `report` is None without a fit."""
 
     @property

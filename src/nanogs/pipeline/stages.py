@@ -57,7 +57,7 @@ from nanogs.pipeline.tasks.trials import (
 from nanogs.pipeline.tasks.unpack import unpack
 from nanogs.pipeline.tasks.views import choose_views
 from nanogs.pipeline.work import Work
-from nanogs.store.tables import Record, write_table
+from nanogs.store.tables import Record
 from nanogs.threads import use_threads
 
 FEWEST = 64  # fewest splats of a block's part, on average
@@ -165,7 +165,7 @@ def _partition(work: Work, task: Task) -> Record:
     found = partition(work.scratch, settings, work.segments())
     for count in () if settings.at_most else settings.counts:
         target_count(found.splats, None, count)  # refuses a count above the usable splats
-    return write_table(work.scratch, task.name, {}, found.to_dict())
+    return work.write(task.name, {}, found.to_dict())
 
 
 def _rough(work: Work, task: Task) -> Record:
@@ -184,7 +184,7 @@ def _outline(work: Work, task: Task) -> Record:
         for level in range(len(COARSE_SHARES)):
             count = max(most_coarse(level, settings.block, settings.splats), blocks)
             groups.append(budget(work.scratch, rough, count))
-    return write_table(work.scratch, task.name, {}, {"groups": groups})
+    return work.write(task.name, {}, {"groups": groups})
 
 
 def _views(scene: Scene, task: Task) -> Record:
@@ -207,7 +207,7 @@ def _budget(work: Work, task: Task) -> Record:
     numbers = [number_of(forests[0], balance) for balance in work.balances]
     groups = [budget(work.scratch, forests, cut_to, number) for number in numbers]
     facts = {"target": target, "cut_to": cut_to, "groups": groups}
-    return write_table(work.scratch, task.name, {}, facts)
+    return work.write(task.name, {}, facts)
 
 
 def _budget_corrected(step: int, work: Work, task: Task) -> Record:
@@ -215,7 +215,7 @@ def _budget_corrected(step: int, work: Work, task: Task) -> Record:
     sums = [np.array([record.facts[SUMS] for record in records]) for records in scored]
     shifts, cut_to = unseen_changes(sums), work.cut_to(task.level)
     groups = budget(work.scratch, scored[step], cut_to, shifts=shifts)
-    return write_table(work.scratch, task.name, {}, {"groups": [groups]})
+    return work.write(task.name, {}, {"groups": [groups]})
 
 
 def _cut(work: Work, task: Task) -> Record:
@@ -241,7 +241,7 @@ def _part(scene: Scene, task: Task) -> Record:
         small = own.splats.take(np.sort(own.rows).astype(np.int64))
     if (degree := scene.settings.sh_degree) is not None:
         small = small.with_sh_degree(degree)
-    return scene.keep_part(task.name, task.level, small)
+    return scene.keep_part(task.name, small)
 
 
 # Whether a job has a stage: `JobStage.wanted`.

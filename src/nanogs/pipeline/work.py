@@ -211,10 +211,14 @@ class Work(Scene):
     def group_count(self, block: int, level: int, cut: int | None = None) -> int:
         """Return the number of groups of a block in a cut, by default in the chosen one."""
         number = self.picked(level) if cut is None else cut
-        budget, place = "budget", number
-        if number >= len(self.balances):
-            budget, place = nth("budget", number - len(self.balances)), 0
+        step = self._correction_of(number)
+        budget, place = ("budget", number) if step is None else (nth("budget", step), 0)
         return int(self.of_job(budget, level).facts["groups"][place][block])
+
+    def _correction_of(self, cut: int) -> int | None:
+        """Return the number of the correction that guides a cut; None for one of `balances`."""
+        step = cut - len(self.balances)
+        return step if step >= 0 else None
 
     def cut(self, block: int, level: int, number: int) -> I32:
         """Return the group of each leaf of a block in a cut; see `Scene.cut`."""
@@ -256,10 +260,11 @@ class Work(Scene):
 
     def _scores(self, block: int, level: int, number: int) -> tuple[Record, int]:
         """Return the table that holds the scores of a cut of a block, and their number in it."""
-        if number < len(self.balances):
+        step = self._correction_of(number)
+        if step is None:
             forest = self.of_block("grow", block)
             return forest, number_of(forest, self.balances[number])
-        return self.of_block(nth("correct", number - len(self.balances)), block, level), 0
+        return self.of_block(nth("correct", step), block, level), 0
 
     def labels(self, block: int, level: int) -> I32:
         """Return (N,) the group of each leaf of a block in the chosen cut, before reassignment."""
@@ -436,12 +441,12 @@ class Work(Scene):
         record = self.of_block("part", block, level)
         return read_part(self.scratch, self.settings.result_layout, record)
 
-    def keep_part(self, name: str, level: int, small: Splats) -> Record:
+    def keep_part(self, name: str, small: Splats) -> Record:
         """Write the splats of a block in a result, before the fit, in Morton order."""
         order = stable_order(self.units.codes(small))
         return write_table(self.scratch, name, sorted_columns(small, order), {})
 
-    def keep_fit(self, name: str, level: int, fitted: Splats, report: RefitReport | None) -> Record:
+    def keep_fit(self, name: str, fitted: Splats, report: RefitReport | None) -> Record:
         """Write the splats of a block in a result after the fit, and what of it is reported."""
         facts = {FITTED: facts_of_fit(report) if report else None}
         return self.write(name, columns_of(fitted), facts)

@@ -1,8 +1,9 @@
 """The settings of a job as plain data: everything that decides the bytes of its results."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -26,6 +27,10 @@ COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 1
 # A job is continued only by the release that began it. The number increases with each change of the
 # job folder's format, or of the results, between releases.
 VERSION = f"{__version__}, 24"
+
+# Steps of the fit of results that are only compared with each other: a share of all, but this many
+# at least. More steps, or corrected errors, hardly change which packing is the best.
+BRIEF, LEAST_STEPS = 0.05, 4
 
 _WISH = "the request (ratio, count, size, PSNR, draw cost)"
 _SIZE = "the memory for blocks, or their size"
@@ -150,7 +155,7 @@ class Settings:
         frame: Frames from and to which results are turned, or None.
         asked: The views that were asked for.
         sh_degree: Highest degree of the results' harmonics, or None for all.
-        sharing: Number of sets of higher harmonics of results, or None if each splat has its own.
+        sharing: How splats of results share higher harmonics, or None if each has its own.
         search: Target of the search for a count, or None if it is known beforehand.
         environment: The environment beside levels, in words; no task depends on it.
         at_most: Whether the counts are the most that fit into a size, so that all splats are kept
@@ -270,10 +275,35 @@ def most_coarse(level: int, block: int, splats: int) -> int:
     return min(int(splats * COARSE_SHARES[level]), beside)
 
 
+def plain(settings: Settings, rounds: int | None = None) -> Settings:
+    """Return the settings for results that are cut without rendering.
+
+    Args:
+        settings: The usual settings.
+        rounds: Rounds of reassignment; by default unchanged.
+    """
+    given = settings.parameters
+    parameters = replace(
+        given, guided=False, steps=0, rounds=given.rounds if rounds is None else rounds
+    )
+    return replace(settings, parameters=parameters)
+
+
+def brief(settings: Settings) -> Settings:
+    """Return the settings for results that are only compared: a short fit and no corrections.
+
+    Args:
+        settings: The usual settings.
+    """
+    given = settings.parameters
+    steps = min(max(math.ceil(BRIEF * given.steps), LEAST_STEPS), given.steps)
+    return replace(settings, parameters=replace(given, steps=steps, corrections=0))
+
+
 def differences(before: Mapping[str, Any], now: Settings) -> list[str]:
     """Return the names of the settings in which two jobs differ, the first as read from JSON."""
-    plain = json.loads(json.dumps(now.to_dict()))
-    return [name for name, value in plain.items() if before.get(name) != value]
+    after = json.loads(json.dumps(now.to_dict()))
+    return [name for name, value in after.items() if before.get(name) != value]
 
 
 def in_words(names: Sequence[str]) -> str:

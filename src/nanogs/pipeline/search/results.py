@@ -11,9 +11,9 @@ from nanogs.clock import StageClock
 from nanogs.io.format import Sharing
 from nanogs.pipeline.estimates.durations import delivery_stages
 from nanogs.pipeline.one_block import OneBlock
-from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.options.settings import Settings, brief, plain
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.run import brief, deliver, plain
+from nanogs.pipeline.run import deliver
 from nanogs.progress import Stage, Tracker
 
 T = TypeVar("T")
@@ -46,11 +46,11 @@ class Results(Protocol[T]):
         """
 
     def plain(self, rounds: int | None = None) -> Self:
-        """Return a maker of results that are cut without rendering; see `run.plain`."""
+        """Return a maker of results that are cut without rendering; see `settings.plain`."""
         return self.changed(lambda settings: plain(settings, rounds))
 
     def brief(self) -> Self:
-        """Return a maker of results that are only compared; see `run.brief`."""
+        """Return a maker of results that are only compared; see `settings.brief`."""
         return self.changed(brief)
 
     def packed(self, sh_degree: int, sharing: Sharing | None) -> Self:
@@ -58,8 +58,8 @@ class Results(Protocol[T]):
 
         Args:
             sh_degree: Highest degree of the harmonics, as far as the scene has them.
-            sharing: Number of sets of higher harmonics, as entries of a palette, that the fit keeps
-                to; None if each splat has its own.
+            sharing: How splats share higher harmonics, as entries of a palette, which the fit keeps
+                to; None if each has its own.
         """
         return self.changed(lambda given: replace(given, sh_degree=sh_degree, sharing=sharing))
 

@@ -15,7 +15,7 @@ from nanogs.pipeline.tasks.views import parts_of
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare
 from nanogs.splats import Splats
-from nanogs.store.tables import Record, write_table
+from nanogs.store.tables import Record
 from nanogs.views.automatic import automatic_cameras
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def write_look(work: "Work", name: str, look: Look) -> Record:
         "visible": float((counted * visible).sum()),
         "shown": shown_prominence(prominences, visible, look.missed[own.rows]),
     }
-    return write_table(work.scratch, name, {VISIBLE: own.visible}, facts)
+    return work.write(name, {VISIBLE: own.visible}, facts)
 
 
 def looks_at(work: "Work", block: int) -> list[ViewLight]:

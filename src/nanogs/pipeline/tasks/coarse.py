@@ -14,7 +14,7 @@ from nanogs.pipeline.tasks.parts import read_part
 from nanogs.raster.rendering import PreparedSplats, prepare
 from nanogs.splats import concatenate
 from nanogs.store.columns import columns_of, count_of
-from nanogs.store.tables import Record, write_table
+from nanogs.store.tables import Record
 
 if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
@@ -32,7 +32,7 @@ def write_coarse(work: "Work", task: Task) -> Record:
     rough = work.of_block("rough", task.number)
     labels = cut_block(work.scratch, rough, groups, rough, 0)
     stored = store_groups(leaves, labels, splats, units.centre(), units.dilation(), growth=GROWTH)
-    return write_table(work.scratch, task.name, columns_of(stored.grown(GROWTH)), {})
+    return work.write(task.name, columns_of(stored.grown(GROWTH)), {})
 
 
 def surroundings(work: "Work", block: int, level: int) -> PreparedSplats | None:

@@ -9,7 +9,7 @@ import numpy as np
 from nanogs._types import I64, U64, Array, F
 from nanogs.frames import change_between, turned
 from nanogs.pipeline.api import simplify
-from nanogs.pipeline.options.settings import Settings
+from nanogs.pipeline.options.settings import Settings, plain
 from nanogs.pipeline.scene import Task
 from nanogs.sorting import stable_order
 from nanogs.source import Layout, Source
@@ -78,7 +78,7 @@ class LevelSource(Source):
 
 def simplify_further(small: Splats, target: int, settings: Settings, threads: int) -> Splats:
     """Simplify a model in memory to a count below what blocks can be cut to."""
-    given = asdict(settings.parameters) | {"guided": False, "steps": 0}
+    given = asdict(plain(settings).parameters)
     return simplify(small, count=target, preset="fast", threads=threads, **given)[0]
 
 
