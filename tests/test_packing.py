@@ -25,7 +25,7 @@ from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
 from nanogs.pipeline.search.files import HeldFiles
 from nanogs.pipeline.search.packing import (
-    FIRST_SHARE,
+    FIRST_PER_ENTRY,
     LARGER,
     SLOPES,
     SMALLER,
@@ -49,7 +49,7 @@ pytestmark = pytest.mark.usefixtures("small_pictures")
 SIZE = 100_000
 FEW = {"views": 3, "further": 2, "view_size": 48, "around": 0, "steps": 2}
 BITS = {"bits": Bits(6, range(4, 9), 6)}
-SHARES = (*LARGER, FIRST_SHARE, *SMALLER)
+SHARES = (*LARGER, FIRST_PER_ENTRY, *SMALLER)
 
 
 # ---- the search ------------------------------------------------------------------------------
@@ -64,7 +64,7 @@ class SyntheticModel:
         self.best, self.made, self.files = (degree, share, bits), [], []
 
     def bytes_of(self, packing, count):
-        palette = 30 / packing.share if packing.share and packing.sh_degree else 0
+        palette = 30 / packing.per_entry if packing.per_entry and packing.sh_degree else 0
         bits = dict(packing.bits).get("bits", 7)
         return int((5 + bits + packing.sh_degree + palette) * count) + 100
 
@@ -82,8 +82,8 @@ class SyntheticModel:
         psnr = 30 + 5 * math.log(count / 5000) - 2 * abs(packing.sh_degree - degree)
         psnr += 5 * math.log(self.bytes_of(packing, 1000) / 1000)  # offsets that fewer splats fit
         psnr -= self.bit * abs(dict(packing.bits).get("bits", 7) - bits)
-        if packing.share and packing.sh_degree:
-            psnr -= 0.4 * abs(math.log2(packing.share / share))
+        if packing.per_entry and packing.sh_degree:
+            psnr -= 0.4 * abs(math.log2(packing.per_entry / share))
         return PackingReport(packing.sh_degree, packing.options(count), count, size, psnr, 0.9)
 
 
@@ -94,7 +94,7 @@ def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
     found, count, probes = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
     assert found.sh_degree == degree
     assert dict(found.bits).get("bits", 7) == (bits if fine else 7)
-    assert found.share == (None if not palettes else share if degree else found.share)
+    assert found.per_entry == (None if not palettes else share if degree else found.per_entry)
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.05)
     assert len(probes) == len(model.files)
     assert len(model.made) <= 2 * (len(SHARES) + 4)
@@ -107,16 +107,16 @@ def test_room_that_all_splats_cannot_fill_is_used_for_bits():
         """With the largest palette and 7 bits, all splats fit into the size; with 8 they do not."""
 
         def seen(self, packing, count):
-            psnr = 60 + 30 * math.log(count / available) - 3 * math.log2(packing.share)
+            psnr = 60 + 30 * math.log(count / available) - 3 * math.log2(packing.per_entry)
             psnr += 0.1 * dict(packing.bits)["bits"]
             found = super().seen(packing, count)
             return replace(found, psnr=psnr)
 
     model = NearlyWhole(3, 1.5, 7)
-    choices = Choices([3], palettes=True, bits=BITS, own_share=1.0)
+    choices = Choices([3], palettes=True, bits=BITS, own_per_entry=1.0)
     given = model.guess, model.attempt, available
     found, count, _ = choose_packing(choices, SIZE, 30.0, *given)
-    assert (found.share, found.bits, count) == (1.5, (("bits", 7),), available)
+    assert (found.per_entry, found.bits, count) == (1.5, (("bits", 7),), available)
 
 
 def test_bits_of_harmonics_are_no_choice_for_files_without_harmonics():
@@ -141,14 +141,14 @@ def test_a_much_worse_small_palette_is_measured_but_not_attempted(psnr_loss, att
 
         def seen(self, packing, count):
             found = super().seen(packing, count)
-            return replace(found, psnr=found.psnr - psnr_loss * math.log2(packing.share / 1.5))
+            return replace(found, psnr=found.psnr - psnr_loss * math.log2(packing.per_entry / 1.5))
 
     model = Shining(3, 1.5, 7)
     choices = Choices([3], palettes=True, bits=BITS)
     found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
-    assert found.share == 1.5
-    assert (SMALLER[0] in {packing.share for packing, _ in model.made}) == attempted
-    assert SMALLER[0] in {packing.share for packing, _ in model.files}
+    assert found.per_entry == 1.5
+    assert (SMALLER[0] in {packing.per_entry for packing, _ in model.made}) == attempted
+    assert SMALLER[0] in {packing.per_entry for packing, _ in model.files}
 
 
 def test_a_model_that_fits_whole_gets_the_best_sh_degree():
@@ -166,18 +166,18 @@ def test_a_model_that_nearly_fits_is_tried_without_a_palette(fitting, tried):
         """Each set of harmonics differs, so that a palette loses 10 dB."""
 
         def guess(self, packing):
-            return 1000 if packing.share else fitting
+            return 1000 if packing.per_entry else fitting
 
         def seen(self, packing, count):
             found = super().seen(packing, count)
-            return replace(found, psnr=found.psnr - 10 * bool(packing.share))
+            return replace(found, psnr=found.psnr - 10 * bool(packing.per_entry))
 
     model = Distinct(2, 8.0, 8)
     choices = Choices([2], palettes=True, bits=BITS)
     found, count, _ = choose_packing(choices, 10**6, 5.0, model.guess, model.attempt, 1000)
     assert count == 1000
-    assert (found.share is None) == tried
-    assert (None in {packing.share for packing, _ in model.made}) == tried
+    assert (found.per_entry is None) == tried
+    assert (None in {packing.per_entry for packing, _ in model.made}) == tried
     assert dict(found.bits) == {"bits": 8}
     assert len(model.made) <= 4
 
@@ -202,7 +202,7 @@ def test_a_smaller_palette_is_not_tried_with_fewer_bits_of_harmonics():
         """Where splats share by 8, harmonics of few bits make the file smaller and lose nothing."""
 
         def bytes_of(self, packing, count):
-            saved = 5 - dict(packing.bits)["sh_bits"] if packing.share == FIRST_SHARE else 0
+            saved = 5 - dict(packing.bits)["sh_bits"] if packing.per_entry == FIRST_PER_ENTRY else 0
             return int((1 - 0.02 * saved) * super().bytes_of(packing, count))
 
     model = Coarse(3, SMALLER[1], 6)
@@ -210,11 +210,11 @@ def test_a_smaller_palette_is_not_tried_with_fewer_bits_of_harmonics():
     found, _, _ = choose_packing(
         Choices([3], palettes=True, bits=bits), SIZE, 5.0, model.guess, model.attempt, 10**9
     )
-    tried = {(packing.share, dict(packing.bits)["sh_bits"]) for packing, _ in model.made}
-    assert (FIRST_SHARE, 5) in tried
-    assert {bits for share, bits in tried if share > FIRST_SHARE} == {5}
+    tried = {(packing.per_entry, dict(packing.bits)["sh_bits"]) for packing, _ in model.made}
+    assert (FIRST_PER_ENTRY, 5) in tried
+    assert {bits for share, bits in tried if share > FIRST_PER_ENTRY} == {5}
     assert {dict(packing.bits)["sh_bits"] for packing, _ in model.files} >= {2, 3, 4, 5}
-    assert found.share == SMALLER[1]
+    assert found.per_entry == SMALLER[1]
     assert dict(found.bits)["sh_bits"] >= 5
 
 
@@ -225,14 +225,14 @@ def test_a_larger_palette_may_need_finer_bits():
         def seen(self, packing, count):
             found = super().seen(packing, count)
             psnr_loss = 0.8 * abs(dict(packing.bits).get("bits", 7) - self.best[2])
-            return replace(found, psnr=found.psnr + (psnr_loss if packing.share >= 8 else 3))
+            return replace(found, psnr=found.psnr + (psnr_loss if packing.per_entry >= 8 else 3))
 
     model = Hiding(0, 1.5, 7)
     choices = Choices([1], palettes=True, bits=BITS)
     found, _, _ = choose_packing(choices, SIZE, 6.0, model.guess, model.attempt, 10**9)
-    first = model.files[: len([1 for each in model.files if each[0].share == 8])]
+    first = model.files[: len([1 for each in model.files if each[0].per_entry == 8])]
     assert {dict(packing.bits).get("bits") for packing, _ in first} >= {4, 5, 6}
-    assert (found.share, dict(found.bits)) == (1.5, {"bits": 7})
+    assert (found.per_entry, dict(found.bits)) == (1.5, {"bits": 7})
 
 
 def test_bits_are_compared_at_the_requested_size():
@@ -525,7 +525,7 @@ def test_presets_without_rendering_keep_all_harmonics_and_pack_coarsely(splats, 
     small, report = nanogs.simplify(splats, size=20_000, format=suffix, preset="fast")
     options = report.format_options
     assert (small.sh_degree, report.packings, options["bits"]) == (2, (), bits)
-    assert options["palette"] == len(small) // FIRST_SHARE
+    assert options["palette"] == len(small) // FIRST_PER_ENTRY
     assert round_trip_with_size(small, f"a{suffix}", options)[1] == report.achieved_size <= 20_000
     fixed = {"bits": 8, "palette": 700}
     finer, report = nanogs.simplify(
@@ -538,7 +538,7 @@ def test_presets_without_rendering_keep_all_harmonics_and_pack_coarsely(splats, 
 def test_packings_chosen_without_rendering_are_as_coarse_as_needed():
     """The palette grows, then the bits, as long as enough of all splats fit."""
     choices = Choices([0, 1, 2], palettes=True, bits=BITS)
-    candidates = [Packing(2, share, (("bits", 6),)) for share in (FIRST_SHARE, *LARGER, None)]
+    candidates = [Packing(2, share, (("bits", 6),)) for share in (FIRST_PER_ENTRY, *LARGER, None)]
     candidates += [Packing(2, None, (("bits", bits),)) for bits in (7, 8)]
     for index, packing in enumerate(candidates[:-1]):
         finer = candidates[index + 1]
@@ -547,10 +547,10 @@ def test_packings_chosen_without_rendering_are_as_coarse_as_needed():
         sizes = defaultdict(int, fitting)
         assert unseen_packing(choices, sizes.__getitem__, 1000) == packing
     assert unseen_packing(choices, lambda _: 1000, 1000) == candidates[-1]
-    shared = replace(choices, own_share=1.0)  # of a format that always has a palette
-    assert unseen_packing(shared, lambda _: 1000, 1000) == replace(candidates[-1], share=1.0)
-    fitting = lambda packing: 919 if packing.share is None else 1000  # noqa: E731
-    assert unseen_packing(choices, fitting, 1000) == replace(candidates[-1], share=LARGER[-1])
+    shared = replace(choices, own_per_entry=1.0)  # of a format that always has a palette
+    assert unseen_packing(shared, lambda _: 1000, 1000) == replace(candidates[-1], per_entry=1.0)
+    fitting = lambda packing: 919 if packing.per_entry is None else 1000  # noqa: E731
+    assert unseen_packing(choices, fitting, 1000) == replace(candidates[-1], per_entry=LARGER[-1])
     without = unseen_packing(replace(choices, palettes=False), lambda _: 880, 1000)
     assert without == candidates[-1]
     finer = replace(choices, palettes=False, bits={"bits": Bits(6, range(4, 9), 7)})

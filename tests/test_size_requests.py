@@ -239,7 +239,7 @@ def test_a_large_file_header_does_not_slow_down_the_size_search():
 def test_the_viewer_in_a_page_does_not_count_as_used_size():
     """If the size is hardly above the viewer's, the splats still use all that it leaves."""
     viewer = 1_400_000
-    fitted = search_fit(lambda n: viewer + 20 * n, viewer + 10_000, 1, 1, 10**6, around=viewer)
+    fitted = search_fit(lambda n: viewer + 20 * n, viewer + 10_000, 1, 1, 10**6, overhead=viewer)
     assert fitted.bytes - viewer >= 0.98 * 10_000
     assert not fitted.leap(viewer + 10_000, 10**6, viewer)
     assert "of the requested size" in replace(fitted, bytes=viewer).leap(10**7, 10**6, viewer)[0]

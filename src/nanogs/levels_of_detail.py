@@ -168,7 +168,7 @@ def write_levels(
             known.check_columns(InMemory(whole).columns)
             elements = [each.name for each in whole.elements]
             known.check_elements(elements, request.format_options or {})
-            return _whole(request, changed(whole, request.edits), sink, on_step, sky)
+            return _in_memory(request, changed(whole, request.edits), sink, on_step, sky)
 
 
 LevelsSink = LevelsFolder | LevelsTree
@@ -258,7 +258,7 @@ def write_levels_of_files(
     with use_threads(request.threads):  # limits the threads of reading and writing too
         model = read_changed(request.inputs, request.edits, tracker, StageClock())
         model = model._replace(notes=(*model.notes, *unstated))
-        manifest, reports = _whole(request, model, sink, tracker.passing(), sky)
+        manifest, reports = _in_memory(request, model, sink, tracker.passing(), sky)
     tracker.finish()
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
 
@@ -287,7 +287,7 @@ def _with(sink: LevelsSink, beside: Environment | None) -> LevelsSink:
     return replace(sink, environment=beside)
 
 
-def _whole(
+def _in_memory(
     request: Request,
     model: ChangedModel,
     sink: LevelsSink,
@@ -338,7 +338,7 @@ def _whole(
 
 
 def _stages(request: Request, splats: int) -> list[Stage]:
-    """List the progress stages of `_whole`: those of `levels`, and a "write" after each level.
+    """List the progress stages of `_in_memory`: those of `levels`, and a "write" after each level.
 
     If levels are measured, a stage "measure" comes first, in which the original is rendered; the
     time to measure the levels themselves counts as writing.

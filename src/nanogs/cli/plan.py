@@ -127,7 +127,7 @@ class Plan:
             return self
         splats = changed(read_parts(request.inputs, request.render_mode), request.edits).splats
         rows, goal = usable_rows(splats, request.nan), request.goal
-        request.refuse_small(splats.take(first_two(splats, rows)))
+        request.refuse_small_size(splats.take(first_two(splats, rows)))
         count = target_of(
             goal, splats, len(rows), request.output, request.parameters, request.sh_degree
         )

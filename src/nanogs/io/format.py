@@ -64,12 +64,12 @@ class Sharing(NamedTuple):
     """The number of sets of higher harmonics that a result has, as a palette has entries.
 
     Attributes:
-        share: Number of splats for each set.
+        per_set: Number of splats for each set.
         most: Most sets of the whole result.
         own: In a result of up to so many splats, each has a set of its own.
     """
 
-    share: float
+    per_set: float
     most: int
     own: int = 1
 
@@ -79,7 +79,7 @@ class Sharing(NamedTuple):
         These are all splats of a result, or a part of one of `whole` splats.
         """
         part = count / max(whole, count, 1)
-        return max(int(min(max(count / self.share, self.own * part), self.most * part)), 1)
+        return max(int(min(max(count / self.per_set, self.own * part), self.most * part)), 1)
 
 
 def shared_entries(

@@ -12,7 +12,7 @@ from nanogs.frames import checked_frames, turned
 from nanogs.io import registry
 from nanogs.io.format import Format, FormatOptions, given_options
 from nanogs.io.models import Model, as_splats
-from nanogs.pipeline.checks import refuse_device, refuse_reduced, refuse_searches, refuse_small
+from nanogs.pipeline.checks import refuse_device, refuse_reduced, refuse_searches, refuse_small_size
 from nanogs.pipeline.in_memory import CheckedModel, NanPolicy, check_model
 from nanogs.pipeline.options.presets import (
     DEFAULT_PRESET,
@@ -210,7 +210,7 @@ def _searched(
         return HeldResults(checked.build(threads, files.clock, progress), files.clock)
 
     if goal.size is not None:
-        refuse_small(request, some, files)
+        refuse_small_size(request, some, files)
     found = find_result(goal, request, grown, lambda: some, files, progress)
     outcome, fields, notes = found
     stop = fields.pop("stop")

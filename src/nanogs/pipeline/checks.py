@@ -83,7 +83,7 @@ def refuse_reduced(goal: Goal, chosen: Parameters, sh_degree: int | None) -> Non
         )
 
 
-def refuse_small(request: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
+def refuse_small_size(request: "SizeRequest", some: Splats, files: "HeldFiles") -> None:
     """Raise, before anything is computed, if the file size asked for is far too small.
 
     Args:

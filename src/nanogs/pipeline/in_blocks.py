@@ -221,7 +221,7 @@ def plan_job(
         environment=request.environment,
         at_most=request.goal.size is not None,
     )
-    _refuse_small(request, settings)
+    _refuse_small_size(request, settings)
     return settings, plan.unpacking(cost_of(settings), None if block else max_memory, reason)
 
 
@@ -240,7 +240,7 @@ def _refuse_no_room_to_measure(request: "Request", *, searched: bool) -> None:
         room_for_measuring(source, request.max_memory, remedy)
 
 
-def _refuse_small(request: "Request", settings: Settings) -> None:
+def _refuse_small_size(request: "Request", settings: Settings) -> None:
     """Refuse a size that is far too small, by the first rows; not if these are unpacked only later.
 
     Raises:
@@ -252,7 +252,7 @@ def _refuse_small(request: "Request", settings: Settings) -> None:
         some = source.read(0, min(RUN_ROWS, source.count))
     if some := some.take(some.finite()):
         with suppress(ModelError):  # a page cannot show these rows, but perhaps others
-            request.refuse_small(some)
+            request.refuse_small_size(some)
 
 
 def search_target(

@@ -20,7 +20,7 @@ from nanogs.io.retag import checked_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import Address, is_url
 from nanogs.memory import allowed_memory
-from nanogs.pipeline.checks import refuse_device, refuse_reduced, refuse_searches, refuse_small
+from nanogs.pipeline.checks import refuse_device, refuse_reduced, refuse_searches, refuse_small_size
 from nanogs.pipeline.estimates.memory import (
     MemoryPlan,
     plan_chunks,
@@ -265,7 +265,7 @@ class Request:
         given = are_asked(self.cameras, self.up)
         refuse_unused_views(self.preset, self.parameters, given=given)
 
-    def refuse_small(self, some: Splats) -> None:
+    def refuse_small_size(self, some: Splats) -> None:
         """Refuse a size that is far too small for any result.
 
         Args:
@@ -282,7 +282,9 @@ class Request:
         known, given = registry.writable(self.output), self.format_options or {}
         looks = renders(self.parameters)
         request = SizeRequest(self.goal.size, known, given, self.sh_degree, looks=looks)
-        refuse_small(request, some, HeldFiles(self.output, given, some, StageClock(), self.frame))
+        refuse_small_size(
+            request, some, HeldFiles(self.output, given, some, StageClock(), self.frame)
+        )
 
     def refuse_device_in_blocks(self) -> None:
         """Refuse any device but the CPU for a model in blocks.

@@ -64,7 +64,7 @@ class Measurement:
     shown: bool = False
 
 
-class Measured(NamedTuple):
+class ScoredModels(NamedTuple):
     """Scores of models.
 
     Attributes:
@@ -87,7 +87,7 @@ def measure(
     how: Measurement,
     stack: ExitStack,
     progress: Tracker,
-) -> Measured:
+) -> ScoredModels:
     """Score models against the first, or all against photographs.
 
     Args:
@@ -123,13 +123,13 @@ def _on_views(
     how: Measurement,
     room: int | None,
     progress: Tracker,
-) -> Measured:
+) -> ScoredModels:
     sets, behind = views.sets(models[0].splats), how.background or BLACK
     comparison, sheets = compare_on_sets(
         models[0], models[1:], sets, background=behind, extras=how.extras, pictures=how.pictures,
         room=room, progress=progress,
     )  # fmt: skip
-    return Measured(comparison, sheets, models, sets[0].cameras, behind)
+    return ScoredModels(comparison, sheets, models, sets[0].cameras, behind)
 
 
 def _on_photographs(
@@ -138,7 +138,7 @@ def _on_photographs(
     how: Measurement,
     room: int | None,
     progress: Tracker,
-) -> Measured:
+) -> ScoredModels:
     asked = how.views
     assert isinstance(asked, Photographs)  # noqa: S101 - these are what was asked for
     progress.begin("photographs")
@@ -148,7 +148,7 @@ def _on_photographs(
         progress=progress,
     )  # fmt: skip
     comparison = replace(comparison, notes=(*comparison.notes, *photos.notes))
-    return Measured(comparison, sheets, models, photos.cameras, photos.background)
+    return ScoredModels(comparison, sheets, models, photos.cameras, photos.background)
 
 
 def _room(

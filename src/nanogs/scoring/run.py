@@ -14,9 +14,9 @@ from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import PIXELS, Background, Judged
 from nanogs.scoring.comparison import Comparison, NamedModel
 from nanogs.scoring.measure import (
-    Measured,
     Measurement,
     Photographs,
+    ScoredModels,
     measure,
     measuring_stages,
 )
@@ -133,7 +133,7 @@ def compare_files(
     return found.comparison
 
 
-def _first_view(seen: ComparedViews | Photographs, found: Measured) -> "Kind | Camera":
+def _first_view(seen: ComparedViews | Photographs, found: ScoredModels) -> "Kind | Camera":
     """Return the view that the page's viewer opens with: of the first kind, or the first camera."""
     if isinstance(seen, ComparedViews) and seen.sources:
         return AUTOMATIC.get(seen.sources[0], "auto")
@@ -141,7 +141,7 @@ def _first_view(seen: ComparedViews | Photographs, found: Measured) -> "Kind | C
 
 
 def _viewer(
-    found: Measured, start: "Kind | Camera", up: Sequence[float] | None
+    found: ScoredModels, start: "Kind | Camera", up: Sequence[float] | None
 ) -> tuple[str, list[str]]:
     """Return the page's interactive part, and notes on how it shows the models.
 

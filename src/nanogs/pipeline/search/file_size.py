@@ -45,37 +45,37 @@ class FittedSize:
     probes: tuple[SizeProbeReport, ...]
     stop: StopReason = StopReason.TARGET
 
-    def leap(self, size: int, available: int, around: int = 0) -> tuple[str, ...]:
+    def leap(self, size: int, available: int, overhead: int = 0) -> tuple[str, ...]:
         """Return a note if much of the size is unused, mostly because the size jumps there."""
         if not self.probes or self.count == available:
             return ()
         # Plain cuts of fewer splats, which lead the search, can be too large as well.
         larger = [each for each in self.probes if each.bytes > size and each.count > self.count]
         over = min(larger, default=None, key=lambda probe: probe.count)
-        return little_used(size, self.bytes, over, around)
+        return little_used(size, self.bytes, over, overhead)
 
 
-def target_bytes(size: float, share: float, around: int) -> float:
+def target_bytes(size: float, share: float, overhead: int) -> float:
     """Return the bytes of a file whose splats use a share of the size left by the overhead.
 
     Args:
         size: Largest allowed size of the file in bytes.
-        share: Share of `size - around` that the splats use.
-        around: Fixed overhead in bytes of every file of the format.
+        share: Share of `size - overhead` that the splats use.
+        overhead: Fixed overhead in bytes of every file of the format.
     """
-    return around + share * (size - around)
+    return overhead + share * (size - overhead)
 
 
-def little_used(size: int, taken: int, over: Probe, around: int = 0) -> tuple[str, ...]:
+def little_used(size: int, taken: int, over: Probe, overhead: int = 0) -> tuple[str, ...]:
     """Return a note if a file leaves much of the size unused, with the reason.
 
     Args:
         size: Largest allowed size of the file in bytes.
         taken: Bytes of the file.
         over: The smallest file found too large, or None if the search ran out of probes.
-        around: Fixed overhead in bytes of every file of the format.
+        overhead: Fixed overhead in bytes of every file of the format.
     """
-    if taken >= target_bytes(size, ENOUGH, around):
+    if taken >= target_bytes(size, ENOUGH, overhead):
         return ()
     more = "no larger one was found in the allowed number of tries"
     if over is not None:
@@ -127,7 +127,7 @@ def search_fit(
     fewest: int,
     available: int,
     enough: float | None = None,
-    around: int = 0,
+    overhead: int = 0,
 ) -> FittedSize:
     """Search by interpolation for a count whose file fits and takes most of the size.
 
@@ -142,7 +142,7 @@ def search_fit(
         fewest: Smallest count that can be delivered, at least 1.
         available: Largest count.
         enough: Bytes that end the search; by default 98 % of the size less the overhead, plus it.
-        around: Fixed overhead in bytes of every file of the format.
+        overhead: Fixed overhead in bytes of every file of the format.
 
     Raises:
         TooSmallError: Not even the fewest splats fit.
@@ -150,8 +150,8 @@ def search_fit(
     probes: list[SizeProbeReport] = []
     fits: Probe = None
     over: Probe = None
-    enough = target_bytes(size, ENOUGH, around) if enough is None else enough
-    aim = target_bytes(size, AIM, around)
+    enough = target_bytes(size, ENOUGH, overhead) if enough is None else enough
+    aim = target_bytes(size, AIM, overhead)
     count = min(max(guess, fewest), available)
     while True:
         probe = SizeProbeReport(count, bytes_of(count))
@@ -231,7 +231,9 @@ def _least(sample: Splats, encode: Encode) -> int:
         return encode(sample.take(np.array([shown])))
 
 
-def guess_count(sample: Splats, available: int, size: int, encode: Encode, around: int = 0) -> int:
+def guess_count(
+    sample: Splats, available: int, size: int, encode: Encode, overhead: int = 0
+) -> int:
     """Estimate the count to begin with, from the file size of a sample of the model's splats.
 
     Args:
@@ -239,12 +241,12 @@ def guess_count(sample: Splats, available: int, size: int, encode: Encode, aroun
         available: Number of usable splats.
         size: Largest allowed size of the file in bytes.
         encode: Encodes a model and returns the bytes of the file.
-        around: Fixed overhead in bytes of every file of the format.
+        overhead: Fixed overhead in bytes of every file of the format.
     """
     least = _least(sample, encode)
     rows = np.arange(0, len(sample), -(-len(sample) // SIZE_SAMPLE))
     each = (encode(sample.take(rows)) - least) / max(len(rows) - 1, 1)
-    count = 1 + int((target_bytes(size, AIM, around) - least) / each) if each > 0 else available
+    count = 1 + int((target_bytes(size, AIM, overhead) - least) / each) if each > 0 else available
     return min(max(count, 1), available)
 
 
@@ -278,7 +280,7 @@ def fit_size(
     progress: Tracker,
     *,
     near: bool = False,
-    around: int = 0,
+    overhead: int = 0,
 ) -> tuple[T, FittedSize]:
     """Make the largest result that the search finds to fit, one that takes most of the size.
 
@@ -292,7 +294,7 @@ def fit_size(
         bytes_of: Encodes a result and returns the bytes of the file.
         progress: Receives each stage.
         near: Whether the guess comes from full results, so that quick ones cannot improve it.
-        around: Fixed overhead in bytes of every file of the format.
+        overhead: Fixed overhead in bytes of every file of the format.
 
     Returns:
         The result, and the search that found it.
@@ -306,21 +308,21 @@ def fit_size(
 
     limits = results.fewest, results.available
     probes: tuple[SizeProbeReport, ...] = ()
-    most = enough = target_bytes(size, ENOUGH, around)
+    most = enough = target_bytes(size, ENOUGH, overhead)
     otherwise = StopReason.TARGET
     if not near:
         progress.begin("search")
         quick = attempts(results.plain() if results.looks else results, SIZES)
-        found = search_fit(quick, size, guess, *limits, around=around)
+        found = search_fit(quick, size, guess, *limits, overhead=overhead)
         probes, guess = found.probes, found.count
         if found.bytes < enough:  # no count uses up the size: aim for the bytes of this one
-            enough, otherwise = target_bytes(found.bytes, ENOUGH, around), found.stop
+            enough, otherwise = target_bytes(found.bytes, ENOUGH, overhead), found.stop
         if not results.looks:
             return quick.found(), found
         del quick  # frees the result that it holds
     progress.begin("deliver")
     delivered = attempts(results, RESULTS)
-    found = search_fit(delivered, size, guess, *limits, enough, around)
+    found = search_fit(delivered, size, guess, *limits, enough, overhead)
     short = found.bytes < most and found.count < results.available
     stop = otherwise if short and found.stop is StopReason.TARGET else found.stop
     return delivered.found(), replace(found, probes=probes + found.probes, stop=stop)

@@ -90,7 +90,7 @@ def _filled(packer: Packer[T], packed: Packed) -> tuple[T, FittedSize]:
     def bytes_of(result: T) -> int:
         return files.bytes_of(result, packing.options(files.count(result)))
 
-    near, around = packed.tight or bool(packed.packings), request.known.overhead_bytes()
+    near, overhead = packed.tight or bool(packed.packings), request.known.overhead_bytes()
     return fit_size(
-        chosen, request.size, packed.count, bytes_of, progress, near=near, around=around
+        chosen, request.size, packed.count, bytes_of, progress, near=near, overhead=overhead
     )

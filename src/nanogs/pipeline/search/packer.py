@@ -156,7 +156,7 @@ class Packer(Generic[T]):
 
         They are packed without a choice of palette, whose loss would blur the difference.
         """
-        packing, plain = replace(choices.first, share=None), self.results.plain(rounds=0)
+        packing, plain = replace(choices.first, per_entry=None), self.results.plain(rounds=0)
         count = self.guess(choices.first)
 
         def made(share: float) -> PackingReport:

@@ -19,7 +19,7 @@ from nanogs.pipeline.search.file_size import AIM
 from nanogs.report import PackingReport
 
 # Splats for each entry of the palette: the first try, then larger and smaller palettes.
-FIRST_SHARE = 8.0
+FIRST_PER_ENTRY = 8.0
 LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
 # Limits of a measured slope, dB of quality for e times the bytes.
 SLOPES = 2.0, 40.0
@@ -43,7 +43,7 @@ class Packing:
 
     Attributes:
         sh_degree: Degree of the harmonics that are written.
-        share: Number of splats for each entry of the palette of the higher harmonics, or None
+        per_entry: Number of splats for each entry of the palette of the higher harmonics, or None
             without a choice of palette.
         bits: The format's options that set its precision, as (name, value).
         entries: Largest number of entries that a palette of the format has.
@@ -53,7 +53,7 @@ class Packing:
     """
 
     sh_degree: int
-    share: float | None = None
+    per_entry: float | None = None
     bits: tuple[tuple[str, int], ...] = ()
     entries: int = 1 << 16
     derived_options: tuple[tuple[str, int], ...] = ()
@@ -61,9 +61,9 @@ class Packing:
     @property
     def sharing(self) -> Sharing | None:
         """How splats share entries of the palette, or None if there is no choice."""
-        if self.share is None or self.sh_degree == 0:
+        if self.per_entry is None or self.sh_degree == 0:
             return None
-        return Sharing(self.share, self.entries)
+        return Sharing(self.per_entry, self.entries)
 
     def options(self, count: int) -> dict[str, Any]:
         """Return the format's options for a result of `count` splats."""
@@ -117,8 +117,8 @@ class Choices:
         bits: The format's options that set its precision, by name.
         by_psnr: Whether the PSNR alone decides, without the SSIM.
         entries: Largest number of entries that a palette of the format has.
-        own_share: Share of the finest packing, in which splats have harmonics of their own: None,
-            without a palette, or 1 if the format always has one.
+        own_per_entry: `per_entry` of the finest packing, in which splats have harmonics of their
+            own: None, without a palette, or 1 if the format always has one.
     """
 
     degrees: Sequence[int]
@@ -126,12 +126,12 @@ class Choices:
     bits: Mapping[str, Bits] = field(default_factory=dict)
     by_psnr: bool = False
     entries: int = 1 << 16
-    own_share: float | None = None
+    own_per_entry: float | None = None
 
     @property
     def first(self) -> Packing:
         """The packing tried first: all harmonics, and a palette size that is seldom far off."""
-        palette = FIRST_SHARE if self.palettes and self.degrees[-1] else None
+        palette = FIRST_PER_ENTRY if self.palettes and self.degrees[-1] else None
         bits = tuple((name, each.begin) for name, each in self.bits.items())
         return Packing(self.degrees[-1], palette, bits, self.entries)
 
@@ -142,7 +142,7 @@ class Choices:
     @property
     def any(self) -> bool:
         """Whether there is anything to choose."""
-        return len(self.degrees) > 1 or self.first.share is not None or bool(self.bits)
+        return len(self.degrees) > 1 or self.first.per_entry is not None or bool(self.bits)
 
 
 def choose_packing(
@@ -170,15 +170,15 @@ def choose_packing(
     best = search.begin()
     first = best
     if search.own_fit >= OWN_HARMONICS:
-        finest = (choices.own_share, *LARGER[::-1])
-        best = search.climb(first, [replace(first, share=share) for share in finest])
+        finest = (choices.own_per_entry, *LARGER[::-1])
+        best = search.climb(first, [replace(first, per_entry=per_entry) for per_entry in finest])
     elif search.smaller:
-        best = search.climb(first, [replace(first, share=share) for share in SMALLER])
-    if best is first and first.share is not None:
-        best = search.climb(first, [replace(first, share=share) for share in LARGER])
+        best = search.climb(first, [replace(first, per_entry=per_entry) for per_entry in SMALLER])
+    if best is first and first.per_entry is not None:
+        best = search.climb(first, [replace(first, per_entry=per_entry) for per_entry in LARGER])
     lower = [replace(best, sh_degree=degree) for degree in search.promising]
     best = search.climb(best, lower)
-    if first.share is not None:  # without palettes, `begin` has compared the bits
+    if first.per_entry is not None:  # without palettes, `begin` has compared the bits
         best = search.compare_bits(best)
     return search.again(best), search.filling(best), tuple(search.probes)
 
@@ -197,15 +197,15 @@ def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available:
     """
     bits = tuple((name, each.unseen) for name, each in choices.bits.items())
     packing = replace(choices.first, bits=bits)
-    own = choices.own_share
-    for share in (*LARGER, own) if packing.share is not None else ():
-        finer = replace(packing, share=share)
-        if guess(finer) < (OWN_HARMONICS if share == own else LARGER_PALETTE) * available:
-            if share != own:
+    own = choices.own_per_entry
+    for per_entry in (*LARGER, own) if packing.per_entry is not None else ():
+        finer = replace(packing, per_entry=per_entry)
+        if guess(finer) < (OWN_HARMONICS if per_entry == own else LARGER_PALETTE) * available:
+            if per_entry != own:
                 return packing
             break
         packing = finer
-    shared = packing.share != own and choices.first.share is not None
+    shared = packing.per_entry != own and choices.first.per_entry is not None
     for name, each in choices.bits.items():
         for value in each.ways(each.unseen)[1]:
             finer = replace(packing, bits=tuple((dict(packing.bits) | {name: value}).items()))
@@ -240,7 +240,7 @@ class _Search:
     """A search for the best packing, with the files that it has measured.
 
     Attributes:
-        found: Files by packing without bits (degree and share of a palette), then by their bits.
+        found: Files by packing without bits (degree and splats per entry), then by their bits.
         promising: Lower degrees that are not far behind although no result was fitted for them.
         smaller: Whether a smaller palette is not far behind either, so that it is tried.
     """
@@ -268,9 +268,9 @@ class _Search:
         found = self._best_file(first)
         others = [probe for probe in probes if self._promises(probe, found)]
         self.promising = [each.sh_degree for each in others if each.sh_degree < first.sh_degree]
-        if first.share is None:
+        if first.per_entry is None:
             return self.compare_bits(best)
-        small = replace(first, share=SMALLER[0])
+        small = replace(first, per_entry=SMALLER[0])
         self.smaller = any(self._is_packed(each, small) for each in others)
         return self._make(self.again(best), self._filling(found)) if self._is_far(found) else best
 
@@ -292,7 +292,7 @@ class _Search:
             if best.bits in made or not self._is_far(before, NEAR_BITS):
                 return best
             # A result with a palette takes long: the first one is good enough if it leaves room.
-            if best.share is not None and not made and before.bytes < self.size:
+            if best.per_entry is not None and not made and before.bytes < self.size:
                 return best
             made.add(best.bits)
             [after] = self._alone(best, self._filling(before))
@@ -305,7 +305,7 @@ class _Search:
         """Estimate the best quality, dB, of a result that fills the size with these bits."""
         file = self.found[_plain(packing)][bits]
         over, slope = self._over(file), self.slope
-        if over > 0 and bits not in made and packing.share is None:
+        if over > 0 and bits not in made and packing.per_entry is None:
             slope = SLOPES[0]  # the loss from fewer splats is not measured yet
         return self.choices.quality(file) - slope * over
 
@@ -323,7 +323,11 @@ class _Search:
 
         A smaller palette takes too few bytes for fewer bits of its harmonics to save much.
         """
-        if packing.share is None or best.share is None or packing.share <= best.share:
+        if (
+            packing.per_entry is None
+            or best.per_entry is None
+            or packing.per_entry <= best.per_entry
+        ):
             return best.bits
         names = self.choices.bits
         return tuple(
@@ -344,9 +348,9 @@ class _Search:
     def own_fit(self) -> float:
         """Share of all splats that fit with harmonics of their own; 0 if there is no choice."""
         first = self.choices.first
-        if first.share is None:
+        if first.per_entry is None:
             return 0.0
-        return self.guess(replace(first, share=self.choices.own_share)) / self.available
+        return self.guess(replace(first, per_entry=self.choices.own_per_entry)) / self.available
 
     def filling(self, packing: Packing) -> int:
         """Return a count that about fills the size with a packing that was tried."""
@@ -356,7 +360,7 @@ class _Search:
         return self.found[_plain(packing)][packing.bits]
 
     def _value(self, packing: Packing) -> float:
-        """Return the worth of a degree and share; results are made if it was not tried yet."""
+        """Return the worth of a degree and palette; results are made if it was not tried yet."""
         if _plain(packing) not in self.found:
             best = self._make(packing, self._expected(packing), near=True)
             if self._is_far(found := self._best_file(packing)):
@@ -412,8 +416,8 @@ class _Search:
                 another result is made, and not far behind the best.
         """
         chosen = dict(packing.bits)
-        usual = self.choices.first.share
-        larger = usual is not None and (packing.share is None or packing.share < usual)
+        usual = self.choices.first.per_entry
+        larger = usual is not None and (packing.per_entry is None or packing.per_entry < usual)
         best = measure(packing)
         probes = [best]
         if near and (self._is_far(best) or self._worth(best) < self._most - FINE):
@@ -433,7 +437,7 @@ class _Search:
                     break
         packing = replace(packing, bits=tuple(chosen.items()))
         if lower and packing.sharing:
-            probes.append(measure(replace(packing, share=SMALLER[0])))
+            probes.append(measure(replace(packing, per_entry=SMALLER[0])))
         for degree in reversed(self.choices.degrees[:-1]) if lower else ():
             probes.append(measure(replace(packing, sh_degree=degree)))
             if not self._promises(probes[-1], best):

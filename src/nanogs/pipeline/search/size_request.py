@@ -55,9 +55,9 @@ class SizeRequest(NamedTuple):
         }
         if not degrees[-1]:
             bits = {name: each for name, each in bits.items() if not each.of_harmonics}
-        own_share = None if self.known.streams else 1.0
+        own_per_entry = None if self.known.streams else 1.0
         return Choices(
-            degrees, self._has_palettes(), bits, self.by_psnr, self._entries(), own_share
+            degrees, self._has_palettes(), bits, self.by_psnr, self._entries(), own_per_entry
         )
 
     def _has_palettes(self) -> bool:
@@ -83,6 +83,6 @@ class SizeRequest(NamedTuple):
     def smallest(self, degree: int) -> Packing:
         """Return the packing of the smallest files, for a model of an SH degree."""
         choices = self.choices(degree)
-        share = SMALLER[-1] if choices.first.share else None
+        per_entry = SMALLER[-1] if choices.first.per_entry else None
         bits = tuple((name, each.values[0]) for name, each in choices.bits.items())
-        return Packing(choices.degrees[0], share, bits, choices.entries)
+        return Packing(choices.degrees[0], per_entry, bits, choices.entries)

@@ -50,11 +50,11 @@ def look_at_block(scene: Scene, task: Task) -> Record:
     missed_light = missed_light_of(looked, count)
     record = scene.keep_look(task.name, Look(own, missed[:count], lights, missed_light))
     if scene.guided:
-        _refuse_small(scene.deciding)
+        _refuse_small_views(scene.deciding)
     return record
 
 
-def _refuse_small(deciding: Sequence[Camera]) -> None:
+def _refuse_small_views(deciding: Sequence[Camera]) -> None:
     """Raise, before the forest is grown, if a view is too small for scoring candidates."""
     for camera in deciding:
         if min(camera.width, camera.height) < LEAST:
