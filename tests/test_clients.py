@@ -10,7 +10,7 @@ import nanogs
 from cesium_page import render_in_cesium
 from conftest import scene_path
 from nanogs import io
-from nanogs.lod.layout import Layout
+from nanogs.lod.layout import LodLayout
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
 from spark_page import render_in_spark
@@ -53,7 +53,7 @@ def test_supersplat_loads_a_streamed_model_from_coarse_to_fine(model_and_camera,
     """It requests the coarsest level first, and ends with the finest."""
     model, camera = model_and_camera
     path = tmp_path / "web" / "lod-meta.json"
-    nanogs.write_levels(model, path.parent, LEVELS, layout=Layout.SOG, preset="fast")
+    nanogs.write_levels(model, path.parent, LEVELS, layout=LodLayout.SOG, preset="fast")
     start = camera_options(camera)
     picture, requests = render_in_supersplat(path, tmp_path, SPLATS, WIDTH, HEIGHT, **start)
     assert requests == [f"scene/{name}" for name in ("lod-meta.json", *CHUNKS)]
@@ -63,7 +63,7 @@ def test_supersplat_loads_a_streamed_model_from_coarse_to_fine(model_and_camera,
 def test_spark_draws_a_rad_file_with_levels_of_detail(model_and_camera, tmp_path):
     model, camera = model_and_camera
     path = tmp_path / "model.rad"
-    nanogs.write_levels(model, path, LEVELS, layout=Layout.TREE, preset="fast")
+    nanogs.write_levels(model, path, LEVELS, layout=LodLayout.TREE, preset="fast")
     picture, state = render_in_spark(path, camera, tmp_path, mesh={"paged": True}, lodRenderScale=0)
     assert state["splats"] == SPLATS
     assert_same(picture, model, camera)
@@ -82,7 +82,7 @@ def test_spark_draws_a_quantised_spz_file(model_and_camera, tmp_path):
 def test_cesium_draws_3d_tiles(model_and_camera, tmp_path):
     model, camera = model_and_camera
     path = tmp_path / "tiles" / "tileset.json"
-    nanogs.write_levels(model, path.parent, LEVELS, layout=Layout.TILES, preset="fast")
+    nanogs.write_levels(model, path.parent, LEVELS, layout=LodLayout.TILES, preset="fast")
     picture, state = render_in_cesium(path, camera, tmp_path)
     assert state["splats"] == SPLATS
     assert set(state["requests"]) == {"scene/1_0.glb", "scene/0_0.glb"}

@@ -11,7 +11,7 @@ from builders import random_splats
 from nanogs import filters
 from nanogs.errors import NotEnoughMemoryError, OptionError, OutputError
 from nanogs.frames import change_frame
-from nanogs.lod.layout import Layout
+from nanogs.lod.layout import LodLayout
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request, plan_files
@@ -212,9 +212,9 @@ def test_levels_made_in_blocks_are_measured_as_those_in_memory(splats, scene, tm
         assert manifest.levels[0].psnr > manifest.levels[1].psnr
 
 
-@pytest.mark.parametrize("layout", list(Layout))
+@pytest.mark.parametrize("layout", list(LodLayout))
 def test_reports_of_levels_made_in_memory_have_the_scores_of_the_files(splats, tmp_path, layout):
-    place = tmp_path / {Layout.TREE: "a.rad", Layout.ARCHIVE: "a.ssog"}.get(layout, "levels")
+    place = tmp_path / {LodLayout.TREE: "a.rad", LodLayout.ARCHIVE: "a.ssog"}.get(layout, "levels")
     manifest, reports = nanogs.write_levels(
         splats, place, [0.5, 0.1], layout=layout, measured=True, **QUICK
     )

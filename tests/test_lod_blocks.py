@@ -24,7 +24,7 @@ from nanogs.levels_of_detail import write_levels
 from nanogs.lod import folder as levels_folder
 from nanogs.lod.cells import divide
 from nanogs.lod.folder import made_files
-from nanogs.lod.layout import Layout
+from nanogs.lod.layout import LodLayout
 from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
 from nanogs.pipeline import run as scale_run
@@ -52,9 +52,9 @@ def splats():
 
 def write(scene, folder, layout, *, ratios=RATIOS, progress=None, **options):
     settings = {"preset": "fast", "rounds": 1, "block": BLOCK, "max_memory": None}
-    if layout is not Layout.FILES:
+    if layout is not LodLayout.FILES:
         settings["chunk"] = CHUNK
-    if layout is Layout.TILES:
+    if layout is LodLayout.TILES:
         settings["plain"] = True
     return write_levels(
         scene, folder, ratios, layout=layout, threads=1, progress=progress, **(settings | options),
@@ -67,9 +67,9 @@ def levels_by_layout(scene, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     return {
         layout: (folder / layout.name, *write(scene, folder / layout.name, layout))
-        for layout in Layout
+        for layout in LodLayout
         # Layouts of a single file are tested in test_rad_lod.py and test_lod_archive.py.
-        if layout not in (Layout.TREE, Layout.ARCHIVE)
+        if layout not in (LodLayout.TREE, LodLayout.ARCHIVE)
     }
 
 
@@ -77,7 +77,7 @@ def levels_by_layout(scene, tmp_path_factory):
 def plain(levels_by_layout):
     """The levels of the layout of plain files, finest first."""
     return [
-        nanogs.load(levels_by_layout[Layout.FILES][0] / f"level_{n}.ply")
+        nanogs.load(levels_by_layout[LodLayout.FILES][0] / f"level_{n}.ply")
         for n in range(len(RATIOS))
     ]
 
@@ -106,7 +106,7 @@ def test_every_layout_has_the_requested_counts(levels_by_layout):
         assert [report.achieved_count for report in reports] == [600, 120, 24]
         assert reports[0].blocks.blocks > 2
         assert set(files(folder)) == made_files(folder)
-        if layout is not Layout.FILES:
+        if layout is not LodLayout.FILES:
             named = {name for level in manifest.levels for name in level.files}
             assert all((folder / name).exists() for name in named)
             index = {"tileset.json", "lod-meta.json"}
@@ -116,7 +116,7 @@ def test_every_layout_has_the_requested_counts(levels_by_layout):
 
 def test_the_tiles_of_a_level_together_equal_the_plain_level(levels_by_layout, plain):
     """The same splats bit for bit, none twice and none missing."""
-    parts = tile_parts(levels_by_layout[Layout.TILES][0] / "tileset.json")
+    parts = tile_parts(levels_by_layout[LodLayout.TILES][0] / "tileset.json")
     for level, expected in enumerate(map(in_order, plain)):
         assert all(1 <= len(part) <= CHUNK for part in parts[level])
         whole = in_order(concatenate(parts[level]))
@@ -125,7 +125,7 @@ def test_the_tiles_of_a_level_together_equal_the_plain_level(levels_by_layout, p
 
 
 def test_a_streamed_level_equals_the_plain_level_up_to_quantisation(levels_by_layout, plain):
-    path = levels_by_layout[Layout.SOG][0] / "lod-meta.json"
+    path = levels_by_layout[LodLayout.SOG][0] / "lod-meta.json"
     assert json.loads(path.read_text())["counts"] == [600, 120, 24]
     for level, expected in enumerate(plain):
         loaded = nanogs.load(path, level=level)
@@ -138,11 +138,11 @@ def test_a_streamed_level_equals_the_plain_level_up_to_quantisation(levels_by_la
 
 def test_blocks_with_few_remaining_splats_share_files(levels_by_layout, scene, tmp_path):
     """No file has fewer splats than the minimum of a chunk, unless its whole level has fewer."""
-    path = levels_by_layout[Layout.SOG][0] / "lod-meta.json"
+    path = levels_by_layout[LodLayout.SOG][0] / "lod-meta.json"
     for level, counts in counts_by_file(path).items():
         assert min(counts) >= min(CHUNK // 4, sum(counts)), level
         assert max(counts) <= 4 * CHUNK
-    write(scene, tmp_path / "fewer", Layout.SOG, chunk_min=30)
+    write(scene, tmp_path / "fewer", LodLayout.SOG, chunk_min=30)
     found = counts_by_file(tmp_path / "fewer" / "lod-meta.json")
     assert [sum(counts) for counts in found.values()] == [600, 120, 24]
     assert min(found[0]) >= min(found[1]) >= 30
@@ -178,7 +178,7 @@ def test_blocks_are_grouped_until_each_group_has_enough_splats(counts, fewest):
 
 
 def test_plain_levels_can_be_written_in_any_format(scene, tmp_path, plain):
-    manifest, _ = write(scene, tmp_path / "levels", Layout.FILES, suffix=".spz")
+    manifest, _ = write(scene, tmp_path / "levels", LodLayout.FILES, suffix=".spz")
     assert [level.file for level in manifest.levels] == [f"level_{n}.spz" for n in range(3)]
     for level, expected in zip(manifest.levels, plain, strict=True):
         nanogs.save(expected, tmp_path / level.file)
@@ -227,7 +227,7 @@ def test_levels_too_large_for_formats_that_are_written_whole_are_refused(tmp_pat
 
 def test_geometric_errors_have_one_scale_for_the_whole_scene(levels_by_layout):
     """Errors follow from the splats alone, not from the block that a tile belongs to."""
-    path = levels_by_layout[Layout.TILES][0] / "tileset.json"
+    path = levels_by_layout[LodLayout.TILES][0] / "tileset.json"
     blocks, errors = set(), {0: [], 1: [], 2: []}
     for tile, parent in tiles(path):
         inner = tile.get("children", [])
@@ -251,7 +251,7 @@ def test_geometric_errors_have_one_scale_for_the_whole_scene(levels_by_layout):
 
 
 def test_the_streamed_tree_is_binary_and_covers_every_row_once(levels_by_layout):
-    path = levels_by_layout[Layout.SOG][0] / "lod-meta.json"
+    path = levels_by_layout[LodLayout.SOG][0] / "lod-meta.json"
     meta = json.loads(path.read_text())
     assert_binary(meta["tree"])
     spans = {}
@@ -271,7 +271,7 @@ def test_the_streamed_tree_is_binary_and_covers_every_row_once(levels_by_layout)
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
 def test_supersplat_streams_levels_that_were_made_in_blocks(levels_by_layout, tmp_path):
     """SuperSplat loads the coarsest level first, and in the end every file of the finest."""
-    path = levels_by_layout[Layout.SOG][0] / "lod-meta.json"
+    path = levels_by_layout[LodLayout.SOG][0] / "lod-meta.json"
     pixels, requested = render_in_supersplat(path, tmp_path, 600)
     names = json.loads(path.read_text())["filenames"]
     assert {f"scene/{name}" for name in names if name.startswith("0_")} <= set(requested)
@@ -279,7 +279,7 @@ def test_supersplat_streams_levels_that_were_made_in_blocks(levels_by_layout, tm
     assert (pixels.max(axis=2) > 0.16).mean() > 0.05
 
 
-@pytest.mark.parametrize("layout", [Layout.SOG, Layout.TILES])
+@pytest.mark.parametrize("layout", [LodLayout.SOG, LodLayout.TILES])
 @pytest.mark.parametrize("ratios", [(0.5, 0.005, 0.0001), (0.004, 0.0001), (1.0,)])
 def test_very_small_and_full_ratios_give_the_requested_counts(scene, tmp_path, layout, ratios):
     """Some blocks keep fewer splats than their forest can be cut to, or none at all."""
@@ -287,7 +287,7 @@ def test_very_small_and_full_ratios_give_the_requested_counts(scene, tmp_path, l
     manifest, _ = write(scene, folder, layout, ratios=ratios)
     expected = [int(np.ceil(1200 * ratio)) for ratio in ratios]
     assert [level.count for level in manifest.levels] == expected
-    if layout is Layout.SOG:
+    if layout is LodLayout.SOG:
         found = [len(nanogs.load(folder / "lod-meta.json", level=n)) for n in range(len(ratios))]
     else:
         path = folder / "tileset.json"
@@ -302,9 +302,9 @@ def test_coarse_splats_may_be_in_blocks_without_splats_of_the_finest_level(tmp_p
     """With seed 9, one of the two coarse splats is in a block with none of the three finer ones."""
     nanogs.save(random_splats(1200, degree=0, seed=9), tmp_path / "a.ply")
     options = {"ratios": (0.0021, 0.0012)}
-    packed, _ = write(tmp_path / "a.ply", tmp_path / "p", Layout.TILES, plain=False, **options)
+    packed, _ = write(tmp_path / "a.ply", tmp_path / "p", LodLayout.TILES, plain=False, **options)
     assert [level.count for level in packed.levels] == [3, 2]
-    write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, **options)
+    write(tmp_path / "a.ply", tmp_path / "t", LodLayout.TILES, **options)
     parts = tile_parts(tmp_path / "t" / "tileset.json")
     assert [sum(map(len, parts[level])) for level in range(2)] == [3, 2]
 
@@ -323,7 +323,9 @@ def test_data_that_are_left_out_are_noted_once_for_all_blocks(tmp_path):
     splats = random_splats(900, extras=label)
     splats.log_scales[:] = 6.5
     nanogs.save(splats, tmp_path / "a.ply")
-    manifest, _ = write(tmp_path / "a.ply", tmp_path / "t", Layout.TILES, plain=False, ratios=[0.5])
+    manifest, _ = write(
+        tmp_path / "a.ply", tmp_path / "t", LodLayout.TILES, plain=False, ratios=[0.5]
+    )
     assert sum("label" in note for note in manifest.notes) == 1
     assert any(note.startswith("450 splats have log-scales") for note in manifest.notes)
 
@@ -331,7 +333,7 @@ def test_data_that_are_left_out_are_noted_once_for_all_blocks(tmp_path):
 # Interrupted jobs, workers
 
 
-@pytest.mark.parametrize("layout", [Layout.SOG, Layout.TILES])
+@pytest.mark.parametrize("layout", [LodLayout.SOG, LodLayout.TILES])
 def test_resuming_a_job_that_crashed_anywhere_gives_the_same_bytes(
     scene, tmp_path, levels_by_layout, layout, monkeypatch
 ):
@@ -367,23 +369,23 @@ def test_a_job_is_not_resumed_with_another_layout_or_chunk_size(scene, tmp_path)
             raise CrashError
 
     with pytest.raises(CrashError):
-        write(scene, tmp_path / "levels", Layout.SOG, progress=crash)
-    for options in ({"layout": Layout.TILES}, {"layout": Layout.SOG, "chunk": 61}):
+        write(scene, tmp_path / "levels", LodLayout.SOG, progress=crash)
+    for options in ({"layout": LodLayout.TILES}, {"layout": LodLayout.SOG, "chunk": 61}):
         with pytest.raises(OutputError, match=r"differs: how levels .* Earth\)"):
             write(scene, tmp_path / "levels", resume=True, **options)
 
 
 def test_folders_with_foreign_files_are_not_replaced(scene, tmp_path):
     folder = tmp_path / "levels"
-    write(scene, folder, Layout.TILES, ratios=[0.1])
+    write(scene, folder, LodLayout.TILES, ratios=[0.1])
     with pytest.raises(OutputError, match="overwrite=True"):
-        write(scene, folder, Layout.SOG)
-    write(scene, folder, Layout.SOG, overwrite=True)
+        write(scene, folder, LodLayout.SOG)
+    write(scene, folder, LodLayout.SOG, overwrite=True)
     assert not (folder / "tileset.json").exists()
     (folder / "mine.txt").write_text("mine")
     before = files(folder)
     with pytest.raises(OutputError, match="mine"):
-        write(scene, folder, Layout.TILES, overwrite=True)
+        write(scene, folder, LodLayout.TILES, overwrite=True)
     assert files(folder) == before
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
@@ -399,7 +401,7 @@ def elsewhere(tmp_path):
         yield Path(folder)
 
 
-@pytest.mark.parametrize("layout", [Layout.TILES, Layout.SOG])
+@pytest.mark.parametrize("layout", [LodLayout.TILES, LodLayout.SOG])
 def test_the_job_folder_may_be_on_another_file_system(
     scene, tmp_path, elsewhere, levels_by_layout, layout
 ):
@@ -420,7 +422,7 @@ def test_a_disk_that_is_full_when_the_folder_is_moved_is_named_once(
 
     monkeypatch.setattr(shutil, "copy2", full)
     with pytest.raises(OutputError) as caught:
-        write(scene, tmp_path / "levels", Layout.TILES, job=elsewhere / "job")
+        write(scene, tmp_path / "levels", LodLayout.TILES, job=elsewhere / "job")
     place = tmp_path / "levels"
     assert (
         str(caught.value) == f"{place}: the disk or quota is full; free some space and run again."
@@ -428,7 +430,7 @@ def test_a_disk_that_is_full_when_the_folder_is_moved_is_named_once(
     assert len(tried) == 1
     assert list(tmp_path.iterdir()) == []
     monkeypatch.undo()
-    write(scene, place, Layout.TILES, job=elsewhere / "job", resume=True)
+    write(scene, place, LodLayout.TILES, job=elsewhere / "job", resume=True)
     assert list(elsewhere.iterdir()) == []
 
 
@@ -451,8 +453,8 @@ def test_workers_make_the_same_bytes(scene, tmp_path, levels_by_layout):
         n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None,
         set_as_default=False,
     ) as client:  # fmt: skip
-        write(scene, tmp_path / "levels", Layout.TILES, executor=client)
-    assert files(tmp_path / "levels") == files(levels_by_layout[Layout.TILES][0])
+        write(scene, tmp_path / "levels", LodLayout.TILES, executor=client)
+    assert files(tmp_path / "levels") == files(levels_by_layout[LodLayout.TILES][0])
 
 
 # Memory
@@ -526,7 +528,7 @@ def test_no_gap_opens_between_blocks(tmp_path, rounds):
     original = wall()
     nanogs.save(original, tmp_path / "wall.ply")
     ratios, folder = (0.3, 0.05), tmp_path / "levels"
-    write(tmp_path / "wall.ply", folder, Layout.TILES, ratios=ratios, block=2600, rounds=rounds)
+    write(tmp_path / "wall.ply", folder, LodLayout.TILES, ratios=ratios, block=2600, rounds=rounds)
     parts = {}
     for path in folder.glob("*.glb"):
         level, block, _ = path.stem.split("_")

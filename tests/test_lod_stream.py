@@ -29,7 +29,7 @@ from nanogs.lod import streamed_sog
 from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import LEAF, divide
 from nanogs.lod.folder import LevelsFolder, made_files
-from nanogs.lod.layout import Layout, output_of
+from nanogs.lod.layout import LodLayout, output_of
 from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.threads import most_threads, use_threads
 from supersplat_page import render_in_supersplat
@@ -55,7 +55,7 @@ def path(scene, tmp_path_factory):
     return path
 
 
-def write(splats, folder, *, layout=Layout.SOG, chunk=CHUNK, ratios=RATIOS, **options):
+def write(splats, folder, *, layout=LodLayout.SOG, chunk=CHUNK, ratios=RATIOS, **options):
     return write_levels(
         splats, folder, ratios, source="a.ply", preset="fast", layout=layout, chunk=chunk, **options
     )
@@ -270,7 +270,7 @@ def test_chunks_cover_every_file_and_are_bounded(path):
 def test_boxes_of_a_scene_at_the_end_of_single_precision_are_finite(tmp_path):
     model = random_splats(60)
     model.means[0], model.log_scales[0] = 3.3e38, 87.5
-    write_levels(model, tmp_path / "s", [1, 0.5], layout=Layout.SOG, chunk=20, preset="fast")
+    write_levels(model, tmp_path / "s", [1, 0.5], layout=LodLayout.SOG, chunk=20, preset="fast")
     meta = json.loads((tmp_path / "s" / "lod-meta.json").read_text())
     assert meta["tree"]["bound"]["max"] == [pytest.approx(float(np.finfo(np.float32).max))] * 3
     assert len(nanogs.load(tmp_path / "s" / "lod-meta.json")) == 60
@@ -325,10 +325,10 @@ def test_extra_columns_that_are_left_out_are_noted(tmp_path):
 
 def test_each_layout_replaces_the_files_of_another(splats, tmp_path):
     folder = tmp_path / "levels"
-    for layout, file in ((Layout.FILES, "levels.json"), (Layout.SOG, "lod-meta.json")) * 2:
+    for layout, file in ((LodLayout.FILES, "levels.json"), (LodLayout.SOG, "lod-meta.json")) * 2:
         write(
             splats, folder, layout=layout, overwrite=True, ratios=[0.5, 0.1],
-            chunk=None if layout is Layout.FILES else CHUNK,
+            chunk=None if layout is LodLayout.FILES else CHUNK,
         )  # fmt: skip
         assert (folder / file).exists()
         assert set(files(folder)) == made_files(folder)
@@ -482,9 +482,9 @@ def test_wrong_names_and_options_are_refused(scene, tmp_path, name, options, fra
 
 
 def test_the_output_name_determines_the_layout():
-    assert output_of(Path("a/lod-meta.json")).layout is Layout.SOG
-    assert output_of(Path("a/tileset.json")).layout is Layout.TILES
-    assert output_of(Path("a/b.c")).layout is Layout.FILES
+    assert output_of(Path("a/lod-meta.json")).layout is LodLayout.SOG
+    assert output_of(Path("a/tileset.json")).layout is LodLayout.TILES
+    assert output_of(Path("a/b.c")).layout is LodLayout.FILES
     assert output_of(Path("a/b.c")).path == Path("a/b.c")
     assert output_of(Path("a/lod-meta.json")).folder == Path("a")
 

@@ -11,7 +11,7 @@ from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.fit.parameters import RefitParameters
 from nanogs.levels_of_detail import write_levels
-from nanogs.lod.layout import Layout
+from nanogs.lod.layout import LodLayout
 from nanogs.progress import Stage, Step, Tracker, each
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.views.automatic import automatic_cameras
@@ -183,7 +183,7 @@ def test_levels_report_their_stages(tmp_path):
     assert [s.stage for s in reported if s.stage.startswith("level")][-1] == "level_1"
     reported.clear()
     write_levels(
-        random_splats(300), tmp_path / "levels", [0.5, 0.1], source="a", layout=Layout.SOG,
+        random_splats(300), tmp_path / "levels", [0.5, 0.1], source="a", layout=LodLayout.SOG,
         chunk=50, preset="fast", progress=reported.append,
     )  # fmt: skip
     assert_consistent(reported)

@@ -13,7 +13,7 @@ from nanogs.errors import ModelError, OptionError, OutputError
 from nanogs.filters import Filter
 from nanogs.frames import change_frame
 from nanogs.levels_of_detail import write_levels
-from nanogs.lod.layout import Layout
+from nanogs.lod.layout import LodLayout
 from nanogs.source import Filtered, Joined
 
 GIVEN = {"preset": "fast", "block": 300, "threads": 1}
@@ -85,15 +85,15 @@ def test_sh_degree_gives_the_result_of_a_file_cut_before(parts, scene, tmp_path)
     assert any("above degree 1 were dropped" in note for note in report.notes)
 
 
-@pytest.mark.parametrize("layout", [Layout.FILES, Layout.TILES])
+@pytest.mark.parametrize("layout", [LodLayout.FILES, LodLayout.TILES])
 def test_levels_are_made_of_filtered_splats_and_in_the_new_frame(parts, scene, tmp_path, layout):
     ratios = (0.5, 0.1)
     options = {"preset": "fast", "max_memory": None, "block": options_for(parts)["block"]}
     options |= {"layout": layout, "threads": 1} | (
-        {"plain": True, "chunk": 100} if layout is Layout.TILES else {}
+        {"plain": True, "chunk": 100} if layout is LodLayout.TILES else {}
     )
     frame = FRAME
-    if layout is Layout.TILES:  # rdf alone, from which their files are turned as .usda files are
+    if layout is LodLayout.TILES:  # rdf alone, from which their files are turned as .usda files are
         frame = ("rdf" if parts[0].suffix == ".usda" else FRAME[1], "rdf")
     write_levels(scene, tmp_path / "one", ratios, **options)
     write_levels(parts, tmp_path / "two", ratios, filters=KEPT, frame=frame, **options)
@@ -103,7 +103,7 @@ def test_levels_are_made_of_filtered_splats_and_in_the_new_frame(parts, scene, t
 
 
 def read_level(folder, layout, level):
-    if layout is Layout.FILES:
+    if layout is LodLayout.FILES:
         return nanogs.load(folder / f"level_{level}.ply")
     return nanogs.load(folder / "tileset.json", level=level)
 

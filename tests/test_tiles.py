@@ -19,7 +19,7 @@ from nanogs.levels_of_detail import write_levels
 from nanogs.lod.cells import divide
 from nanogs.lod.chunks import ChunkTree
 from nanogs.lod.folder import LevelsFolder, made_files
-from nanogs.lod.layout import Layout
+from nanogs.lod.layout import LodLayout
 from nanogs.lod.tiles import Tiles
 from nanogs.lod.tileset import describe
 from nanogs.splats import RenderMode
@@ -52,7 +52,7 @@ def command_tileset(request, splats, tmp_path_factory):
 
 def write(splats, folder, ratios=RATIOS, **options):
     return write_levels(
-        splats, folder, ratios, source="a.ply", preset="fast", layout=Layout.TILES, **options
+        splats, folder, ratios, source="a.ply", preset="fast", layout=LodLayout.TILES, **options
     )
 
 

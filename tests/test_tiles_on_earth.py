@@ -17,7 +17,7 @@ from launch import contents, run
 from nanogs import io
 from nanogs.errors import OptionError, OutputError
 from nanogs.levels_of_detail import write_levels
-from nanogs.lod.layout import Layout
+from nanogs.lod.layout import LodLayout
 from nanogs.place import Place, columns, from_columns, text_of, transform_of
 from test_cli import assert_refused
 
@@ -281,7 +281,7 @@ def test_wrong_options_of_a_place_are_refused(scene, tmp_path, output, options, 
 def test_blocks_and_resumed_jobs_keep_the_place(scene, tmp_path):
     def write(folder, place, **options):
         return write_levels(
-            scene, folder, (0.5, 0.1), layout=Layout.TILES, chunk=60, block=300, preset="fast",
+            scene, folder, (0.5, 0.1), layout=LodLayout.TILES, chunk=60, block=300, preset="fast",
             place=place, threads=1, **options,
         )  # fmt: skip
 

@@ -13,7 +13,7 @@ from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.gltf import read as gltf
 from nanogs.levels_of_detail import write_levels
-from nanogs.lod.layout import Layout
+from nanogs.lod.layout import LodLayout
 
 RATIOS = (0.5, 0.1, 0.02)
 BOX = {"box": [0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1]}
@@ -26,7 +26,7 @@ def splats():
 
 @pytest.mark.parametrize("unpacked", [True, False])
 def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, unpacked):
-    options = {"source": "a", "preset": "fast", "layout": Layout.TILES, "chunk": 100}
+    options = {"source": "a", "preset": "fast", "layout": LodLayout.TILES, "chunk": 100}
     write_levels(splats, tmp_path / "t", RATIOS, plain=unpacked, **options)
     path = tmp_path / "t" / "tileset.json"
     for level, (small, _) in enumerate(nanogs.levels(splats, RATIOS, preset="fast")):
@@ -52,7 +52,13 @@ def test_levels_that_nanogs_wrote_are_read_back(splats, tmp_path, unpacked):
 
 def test_blocks_without_a_splat_of_a_level_add_none_to_it(splats, tmp_path):
     nanogs.save(splats, tmp_path / "a.ply")
-    options = {"preset": "fast", "layout": Layout.TILES, "chunk": 100, "block": 100, "threads": 1}
+    options = {
+        "preset": "fast",
+        "layout": LodLayout.TILES,
+        "chunk": 100,
+        "block": 100,
+        "threads": 1,
+    }
     write_levels(tmp_path / "a.ply", tmp_path / "t", (1, 0.5, 0.005), **options)
     path = tmp_path / "t" / "tileset.json"
     assert [len(io.load(path, level=level)) for level in range(3)] == [900, 450, 5]
@@ -60,7 +66,7 @@ def test_blocks_without_a_splat_of_a_level_add_none_to_it(splats, tmp_path):
 
 
 def test_each_tile_is_opened_once_to_describe_a_tileset(splats, tmp_path, monkeypatch):
-    options = {"source": "a", "preset": "fast", "layout": Layout.TILES, "chunk": 100}
+    options = {"source": "a", "preset": "fast", "layout": LodLayout.TILES, "chunk": 100}
     write_levels(splats, tmp_path / "t", RATIOS, **options)
     opened, open_gltf = [], gltf.open_gltf
     monkeypatch.setattr(gltf, "open_gltf", lambda path: opened.append(path) or open_gltf(path))

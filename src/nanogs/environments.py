@@ -26,7 +26,7 @@ from nanogs.io.retag import in_mode
 from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import place
 from nanogs.lod.environment import Shell, find_environment
-from nanogs.lod.layout import Layout
+from nanogs.lod.layout import LodLayout
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.in_memory import NanPolicy
@@ -39,7 +39,7 @@ from nanogs.source import Filtered, InMemory, Joined, Source
 from nanogs.splats import Splats
 
 AUTO, NONE = "auto", "none"
-_LAYOUTS = (Layout.SOG, Layout.ARCHIVE)
+_LAYOUTS = (LodLayout.SOG, LodLayout.ARCHIVE)
 # Memory for writing a SOG file: this many times the columns, and bytes for each splat.
 _HELD, _EACH = 7, 300
 
@@ -194,14 +194,14 @@ NOTHING = EnvironmentRequest()
 
 
 def surroundings(
-    asked: str | PathLike[str] | Splats | Source, ratio: float | None, layout: Layout | str
+    asked: str | PathLike[str] | Splats | Source, ratio: float | None, layout: LodLayout | str
 ) -> EnvironmentRequest:
     """Check the arguments about an environment, and make a request of them.
 
     Args:
         asked: "auto", "none", a path or a model.
         ratio: Share of the environment's splats to keep, or None for all.
-        layout: Layout of the levels.
+        layout: LodLayout of the levels.
 
     Raises:
         OptionError: The environment is none of these, the layout has no environment, the path is a

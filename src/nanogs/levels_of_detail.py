@@ -25,7 +25,7 @@ from nanogs.io.urls import local_path, path_text, places
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
-from nanogs.lod.layout import Layout, chunks_of, refuse_misnamed
+from nanogs.lod.layout import LodLayout, chunks_of, refuse_misnamed
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.lod.usual import default_ratios
@@ -64,7 +64,7 @@ def write_levels(
     ratios: Iterable[float] | None = None,
     *,
     source: str | None = None,
-    layout: Layout | str = Layout.FILES,
+    layout: LodLayout | str = LodLayout.FILES,
     chunk: int | None = None,
     chunk_min: int | None = None,
     plain: bool = False,
@@ -150,12 +150,12 @@ def write_levels(
     )  # fmt: skip
     if request.chunks and request.level_suffix not in (PLY, request.chunks.suffix):
         raise OptionError(
-            f'The layout "{Layout(layout)}" has a format of its own; leave out `suffix`, or write'
-            f' the layout "{Layout.FILES}".'
+            f'The layout "{LodLayout(layout)}" has a format of its own; leave out `suffix`, or'
+            f' write the layout "{LodLayout.FILES}".'
         )
     request.refuse_unused_views()
     sink = sink_of(request, source=source, layout=layout)
-    refuse_misnamed(request.output, Layout(layout))
+    refuse_misnamed(request.output, LodLayout(layout))
     sky = surroundings(environment, environment_ratio, layout)
     with show_progress(progress) as on_step:
         if not isinstance(model, Splats | Source):
@@ -176,13 +176,13 @@ LevelsSink = LevelsFolder | LevelsTree
 
 
 def usual_levels(
-    model: Splats | Source | Sequence[str | PathLike[str]], layout: Layout | str
+    model: Splats | Source | Sequence[str | PathLike[str]], layout: LodLayout | str
 ) -> tuple[float, ...]:
     """Return the default ratios of the levels of a model; see `lod.usual.default_ratios`.
 
     Args:
         model: The model, a source of it, or paths of the parts of one scene.
-        layout: Layout of the levels.
+        layout: LodLayout of the levels.
 
     Raises:
         FormatError: A path is no model.
@@ -192,14 +192,14 @@ def usual_levels(
         splats = len(model)
     else:
         splats = sum(inspect(path).splats for path in model)
-    return default_ratios(splats, tree=layout == Layout.TREE)
+    return default_ratios(splats, tree=layout == LodLayout.TREE)
 
 
 def sink_of(
     request: Request,
     *,
     source: str | None = None,
-    layout: Layout | str = Layout.FILES,
+    layout: LodLayout | str = LodLayout.FILES,
 ) -> LevelsSink:
     """Make the sink for the requested levels; see `write_levels` for the arguments.
 
@@ -207,16 +207,16 @@ def sink_of(
         OptionError: The format of the files cannot be written, has no such options, or has a frame
             of its own that is not the requested one.
     """
-    if request.format_options and layout != Layout.FILES:
+    if request.format_options and layout != LodLayout.FILES:
         raise OptionError(
             f'The layout "{layout}" has no format options; leave out `format_options`, or write'
-            f' the layout "{Layout.FILES}".'
+            f' the layout "{LodLayout.FILES}".'
         )
     name = source or ", ".join(path.name for path in request.inputs) or "a model"
-    if layout == Layout.TREE:
+    if layout == LodLayout.TREE:
         return LevelsTree(request.output, request.overwrite, name)
     chunks = request.chunks if isinstance(request.chunks, ChunkLayout) else None
-    sink = LevelsArchive if layout == Layout.ARCHIVE else LevelsFolder
+    sink = LevelsArchive if layout == LodLayout.ARCHIVE else LevelsFolder
     options = request.format_options
     if request.frame is not None:
         refuse_frame_written(request.frame, request.file)

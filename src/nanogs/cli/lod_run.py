@@ -22,14 +22,14 @@ from nanogs.formatting import NONE, bytes_text, counted, number_text, time_text
 from nanogs.io import bytes_on_disk
 from nanogs.io.collect import Pair
 from nanogs.levels_of_detail import sink_of, usual_levels, write_levels_of_files
-from nanogs.lod.layout import Layout, Output
+from nanogs.lod.layout import LodLayout, Output
 from nanogs.lod.manifest import ChunkedLevel, Level
 from nanogs.pipeline.options.target import target_count
 from nanogs.pipeline.request import Request
 from nanogs.progress import Progress
 from nanogs.switches import SCREEN, SwitchQuality
 
-_ONE_FILE = (Layout.TREE, Layout.ARCHIVE)  # layouts with one file for all levels
+_ONE_FILE = (LodLayout.TREE, LodLayout.ARCHIVE)  # layouts with one file for all levels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,12 +157,12 @@ def print_levels(run: Run, *, verbose: bool) -> None:
     made = f"{counted(len(levels), 'level')} in {files['output']}, {bytes_text(taken)}"
     whole = counted(manifest.source_count, "splat")
     say(f"{whole} {arrow()} {made}, {time_text(files['total_seconds'])}")
-    folder = files["layout"] != Layout.ARCHIVE
+    folder = files["layout"] != LodLayout.ARCHIVE
     if folder and isinstance(coarsest := levels[-1], ChunkedLevel) and coarsest.requests:
         asked = counted(coarsest.requests + further + 1, "request")  # 1 for the manifest
         size = bytes_text(coarsest.bytes + beside + described)
         say(f"a viewer's first picture takes {asked} and {size}")
-    if files["layout"] != Layout.FILES:
+    if files["layout"] != LodLayout.FILES:
         command = shlex.join(["nanogs", "view", str(files["output"])])
         say(f"`{command}` makes a page of one level, to look at it")
 
@@ -181,7 +181,7 @@ def _environment(count: int, source: str) -> str:
     return f"an environment of {counted(count, 'splat')}, {found}"
 
 
-def _heading(number: int, level: Level | ChunkedLevel, layout: Layout) -> str:
+def _heading(number: int, level: Level | ChunkedLevel, layout: LodLayout) -> str:
     """Return a level's file, or its index, with its number of files unless one file has all."""
     if isinstance(level, Level):
         return level.file

@@ -26,7 +26,7 @@ from nanogs.ranges import is_number, value_text
 MOST_CHUNK = 2**31 - 1  # splats
 
 
-class Layout(StrEnum):
+class LodLayout(StrEnum):
     """The layouts of levels in files."""
 
     FILES = "files"  # one per level
@@ -36,10 +36,13 @@ class Layout(StrEnum):
     ARCHIVE = "streamed sog archive"  # one file
 
 
-_IN_FOLDERS: dict[Layout, type[ChunkLayout]] = {Layout.SOG: StreamedSog, Layout.TILES: Tiles}
-_CHUNKED = _IN_FOLDERS | {Layout.ARCHIVE: StreamedSog}
+_IN_FOLDERS: dict[LodLayout, type[ChunkLayout]] = {
+    LodLayout.SOG: StreamedSog,
+    LodLayout.TILES: Tiles,
+}
+_CHUNKED = _IN_FOLDERS | {LodLayout.ARCHIVE: StreamedSog}
 NAMES = {layout: chunked.name for layout, chunked in _IN_FOLDERS.items()}
-_FILES = {Layout.TREE: TREE, Layout.ARCHIVE: registry.ARCHIVE}
+_FILES = {LodLayout.TREE: TREE, LodLayout.ARCHIVE: registry.ARCHIVE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +56,7 @@ class Output:
     """
 
     folder: Path
-    layout: Layout
+    layout: LodLayout
     suffix: str = PLY
 
     @property
@@ -86,7 +89,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
                     f"The format cannot be chosen, because {path} already determines it; leave it"
                     " out."
                 )
-            return Output(path, layout, TREE if layout == Layout.TREE else PLY)
+            return Output(path, layout, TREE if layout == LodLayout.TREE else PLY)
     for layout, name in NAMES.items():
         if path.name == name:
             if suffix is not None:
@@ -109,7 +112,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
             f" folder, as in {path.with_suffix('')}/{given}."
         )
     if suffix is None:
-        return Output(path, Layout.FILES)
+        return Output(path, LodLayout.FILES)
     ending = registry.suffix_of(suffix)
     for name in (*NAMES.values(), registry.ARCHIVE):
         if ending.endswith(name):
@@ -119,10 +122,10 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
                 f" out, and name {whole}."
             )
     registry.writer(registry.file_of(suffix))
-    return Output(path, Layout.FILES, ending)
+    return Output(path, LodLayout.FILES, ending)
 
 
-def refuse_misnamed(path: Path, layout: Layout) -> None:
+def refuse_misnamed(path: Path, layout: LodLayout) -> None:
     """Refuse a name that does not fit the layout: a file for a folder, or another suffix.
 
     Raises:
@@ -143,7 +146,7 @@ def refuse_misnamed(path: Path, layout: Layout) -> None:
 
 
 def chunks_of(
-    layout: Layout | str,
+    layout: LodLayout | str,
     chunk: int | None,
     chunk_min: int | None = None,
     *,
@@ -166,32 +169,32 @@ def chunks_of(
             contents or a place are requested for another layout than 3D Tiles; or the place is
             invalid.
     """
-    if layout not in list(Layout):
-        known = ", ".join(f'"{each}"' for each in Layout)
+    if layout not in list(LodLayout):
+        known = ", ".join(f'"{each}"' for each in LodLayout)
         raise OptionError(f'There is no layout "{layout}"; choose from {known}.')
     sized = chunk is not None or chunk_min is not None
-    if sized and layout == Layout.FILES:
+    if sized and layout == LodLayout.FILES:
         raise OptionError(
             "The size of chunks can be given only for lod-meta.json, .ssog and tileset.json,"
             " because levels in separate files are not divided; leave it out."
         )
-    if sized and layout == Layout.TREE:
+    if sized and layout == LodLayout.TREE:
         raise OptionError(
             "The size of chunks cannot be given for a .rad file, because viewers expect 65,536"
             " splats; leave it out."
         )
-    if plain and layout != Layout.TILES:
+    if plain and layout != LodLayout.TILES:
         raise OptionError("Plain contents are possible only in 3D Tiles; write a tileset.json.")
-    if place is not None and layout != Layout.TILES:
+    if place is not None and layout != LodLayout.TILES:
         raise OptionError("A place on Earth is possible only in 3D Tiles; write a tileset.json.")
     most = CHUNK if chunk is None else _whole(chunk)
     least = max(min(LEAST_CHUNK, most // 4), 1) if chunk_min is None else _whole(chunk_min)
-    if layout == Layout.TILES:
+    if layout == LodLayout.TILES:
         put = None if place is None else columns(transform_of(place))
         return Tiles(most, least, packed=not plain, place=put)
-    if layout == Layout.TREE:
+    if layout == LodLayout.TREE:
         return Linked()
-    return StreamedSog(most, least) if layout in (Layout.SOG, Layout.ARCHIVE) else None
+    return StreamedSog(most, least) if layout in (LodLayout.SOG, LodLayout.ARCHIVE) else None
 
 
 def _whole(size: int) -> int:
