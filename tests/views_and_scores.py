@@ -29,7 +29,7 @@ def scene_with_views(splats, cameras, parameters, up=None):
 def mean_scores(small, scene):
     """Return the mean PSNR and SSIM of a result on the views that choose between candidates."""
     scores = []
-    for target in scene.pictures(None, None):
+    for target in scene.deciding_targets(None, None):
         reference = target.image[..., :3] / np.float32(255)
         shown = render(small, target.camera).shown()
         scores.append((psnr(reference, shown), ssim(reference.mean(axis=2), shown.mean(axis=2))))

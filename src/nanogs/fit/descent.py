@@ -102,7 +102,7 @@ class Descent:
         """Return an empty running mean of the states; its `add` includes the current one."""
         return CpuRunningMean(self)
 
-    def rest(self) -> None:
+    def release(self) -> None:
         """Free the memory that only steps need, after the last one."""
         del self._state, self._active, self._seen
         del self._hessians, self._weights, self._displacements

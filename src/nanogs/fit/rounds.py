@@ -136,7 +136,7 @@ def fit(
         reached, errors = _round(descent, rate, number, on_progress)
         last = number == parameters.rounds - 1
         if last:
-            descent.rest()
+            descent.release()
         best, share = _line_search(guard, best, small, reached)
         if best is not None and not last and share == 1:
             best = best.copy()  # because the descent continues to change its state in place

@@ -170,6 +170,7 @@ class CheckedModel:
             clock: The seconds of the stages.
             start: `time.perf_counter()` at the start.
         """
+        # The other fields of an outcome are those of the report, by the same names.
         reported = {each.name: getattr(outcome, each.name) for each in fields(outcome)}
         del reported["splats"], reported["fields"]
         idle = idle_notes(self.preset, self.parameters)
@@ -179,11 +180,8 @@ class CheckedModel:
             parameters=asdict(self.parameters),
             read_count=len(self.splats),
             input_count=len(self.splats),
-            asked_ratio=goal.ratio,
             asked_count=asked_count,
-            asked_size=goal.size,
-            asked_psnr=goal.psnr,
-            asked_draw_cost=goal.draw_cost,
+            **goal.reported,
             dropped_nonfinite=len(self.splats) - len(self.rows),
             achieved_count=len(outcome.splats),
             seconds=clock.seconds,

@@ -318,7 +318,9 @@ class OneBlock(Scene):
         self._corrected = {number: correction.scores}
         return self.write(task.name, {}, {SUMS: correction.sums.tolist()})
 
-    def compared(self, block: int, own: Block, others: PreparedSplats | None) -> Iterable[Target]:
+    def correction_targets(
+        self, block: int, own: Block, others: PreparedSplats | None
+    ) -> Iterable[Target]:
         """Return the original on the views that are kept for the fit."""
         return self.fitting
 
@@ -364,7 +366,9 @@ class OneBlock(Scene):
         """The cameras of the views that results are chosen by."""
         return [target.camera for group in self.view_groups for target in group.targets]
 
-    def pictures(self, own: Block, others: PreparedSplats | None) -> Sequence[Target | None]:
+    def deciding_targets(
+        self, own: Block, others: PreparedSplats | None
+    ) -> Sequence[Target | None]:
         """Return the original on each of the deciding views."""
         return [target for group in self.view_groups for target in group.targets]
 

@@ -90,12 +90,12 @@ class FitViews:
     Attributes:
         fitting: Views of the original that are fitted to, kept as images or rendered when needed.
         deciding: Other views, which decide how much of the fit is kept.
-        count: Number of splats of the original.
+        original_count: Number of splats of the original.
     """
 
     fitting: Fitting
     deciding: Sequence[ViewGroup]
-    count: int
+    original_count: int
 
 
 class ViewLight(NamedTuple):
@@ -256,8 +256,12 @@ class Scene(ABC):
         """
 
     @abstractmethod
-    def compared(self, block: int, own: Block, others: PreparedSplats | None) -> Iterable[Target]:
-        """Return the original on views that do not decide, or the parts that show a block.
+    def correction_targets(
+        self, block: int, own: Block, others: PreparedSplats | None
+    ) -> Iterable[Target]:
+        """Return the original on the views that errors are corrected by, those that do not decide.
+
+        In a scene of several blocks, the parts that show a block.
 
         Args:
             block: Number of the block.
@@ -286,7 +290,9 @@ class Scene(ABC):
         """The views by which results are chosen."""
 
     @abstractmethod
-    def pictures(self, own: Block, others: PreparedSplats | None) -> Sequence[Target | None]:
+    def deciding_targets(
+        self, own: Block, others: PreparedSplats | None
+    ) -> Sequence[Target | None]:
         """Return the original on each deciding view, or the part of it that shows a block.
 
         An entry is None if its view does not show the block.

@@ -240,7 +240,9 @@ class Work(Scene):
             self.scratch, task.name, self.partition.count(task.number), correction
         )
 
-    def compared(self, block: int, own: Block, others: PreparedSplats | None) -> Iterator[Target]:
+    def correction_targets(
+        self, block: int, own: Block, others: PreparedSplats | None
+    ) -> Iterator[Target]:
         """Render the part of each view that shows a block, except for the deciding views.
 
         As in memory, views that only the fit uses have half of their pixels if it uses half.
@@ -400,7 +402,9 @@ class Work(Scene):
         """The cameras by which results are chosen."""
         return self.views.deciding
 
-    def pictures(self, own: Block, others: PreparedSplats | None) -> Sequence[Target | None]:
+    def deciding_targets(
+        self, own: Block, others: PreparedSplats | None
+    ) -> Sequence[Target | None]:
         """Render the part of each deciding view that shows a block, or None if none does."""
         drawn, parts = self._crops(own, others, self.deciding)
         return [make_target(drawn, part, depth=False) if part else None for part in parts]

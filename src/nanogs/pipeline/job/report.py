@@ -38,11 +38,7 @@ def report_of(
         level: Number of the level.
     """
     work = done.work
-    settings, partition = work.settings, work.partition
-    target = work.target(level)
-    segments = work.segments()
-    merged = work.merges(level)
-    settled = work.of_blocks("settle", level) if merged and settings.parameters.rounds else []
+    settings, target, segments = work.settings, work.target(level), work.segments()
     own_notes = join_findings(map(of_plain, record.facts["notes"]) for record in segments)
     # Few splats are merged from blocks that have more; and a tree may have fewer than all blocks,
     # because it repeats a block's finer level that has fewer splats.
@@ -60,11 +56,8 @@ def report_of(
         preset=preset,
         parameters=asdict(settings.parameters),
         input_count=settings.splats,
-        asked_ratio=goal.ratio,
         asked_count=target,
-        asked_size=goal.size,
-        asked_psnr=goal.psnr,
-        asked_draw_cost=goal.draw_cost,
+        **goal.reported,
         dropped_nonfinite=sum(int(record.facts["dropped"]) for record in segments),
         pruned=0,
         prune_threshold=0.0,
@@ -74,17 +67,26 @@ def report_of(
         total_seconds=time.perf_counter() - start,
         threads=work.threads,
         **{**reported, "notes": tuple(dict.fromkeys(notes))},
-        blocks=BlocksReport(
-            blocks=partition.blocks,
-            largest=max(partition.count(block) for block in range(partition.blocks)),
-            allowed=settings.block,
-            segments=len(segments),
-            seen=sum(int(record.facts["seen"]) for record in settled),
-            handed=sum(count_of(record) for record in settled),
-            resumed=done.kept,
-        ),
+        blocks=_blocks_report(done, level),
         read_count=settings.read_count,
         filters=_filter_reports(settings),
+    )
+
+
+def _blocks_report(done: Done, level: int) -> BlocksReport:
+    """Report how the model was divided, and what the blocks of a result told each other."""
+    work = done.work
+    partition, settings = work.partition, work.settings
+    settles = work.merges(level) and settings.parameters.rounds
+    settled = work.of_blocks("settle", level) if settles else []
+    return BlocksReport(
+        blocks=partition.blocks,
+        largest=partition.largest,
+        allowed=settings.block,
+        segments=len(work.segments()),
+        seen=sum(int(record.facts["seen"]) for record in settled),
+        handed=sum(count_of(record) for record in settled),
+        resumed=done.kept,
     )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 from nanogs.errors import OptionError, TooManyError, TooSmallError
 from nanogs.formatting import counted
@@ -80,6 +81,16 @@ class Goal:
     def is_measured(self) -> bool:
         """Whether results must be measured to find the count, for any format."""
         return self.psnr is not None or self.draw_cost is not None
+
+    @property
+    def reported(self) -> dict[str, Any]:
+        """The fields of `SimplifyReport` for it; the count that meets it is reported as well."""
+        return {
+            "asked_ratio": self.ratio,
+            "asked_size": self.size,
+            "asked_psnr": self.psnr,
+            "asked_draw_cost": self.draw_cost,
+        }
 
     def known_count(self, available: int) -> int | None:
         """Return the splats to deliver by a ratio or a count; None if a search has to find it.

@@ -31,7 +31,7 @@ def correct(step: int, scene: Scene, task: Task) -> Record:
     others = scene.surroundings(task.number)
     drawn = concatenated(prepare(grown(scene, groups)), others)
     views = len(scene.views.kept) + scene.settings.parameters.pictured  # about as many are compared
-    targets = scene.compared(task.number, block, others)
+    targets = scene.correction_targets(task.number, block, others)
     sums = summed_errors(drawn.with_buffers(), targets, lambda done: scene.on_progress(done, views))
     by_label = np.empty((len(groups.labels), 2))
     by_label[groups.labels] = sums[: len(groups.labels)]

@@ -53,7 +53,7 @@ def fit_part(scene: Scene, task: Task) -> Record:
     )
     entries = scene.settings.entries(len(part), scene.target(level))
     fitted, report = fit_to_views(
-        part, views.fitting, views.deciding, parameters, views.count, scene.threads,
+        part, views.fitting, views.deciding, parameters, views.original_count, scene.threads,
         scene.on_progress, entries,
     )  # fmt: skip
     return scene.keep_fit(task.name, fitted, report)

@@ -177,7 +177,7 @@ def _try_cuts(scene: Scene, task: Task, numbers: Sequence[int]) -> Record:
     """Measure some of a block's cuts, and write their errors."""
     block = scene.open(task.number)
     others = scene.surroundings(task.number)
-    wanted, errors = scene.pictures(block, others), []
+    wanted, errors = scene.deciding_targets(block, others), []
     for number in numbers:
         groups = groups_of(scene, block, scene.cut(task.number, task.level, number))
         errors.append(_errors(grown(scene, groups), wanted, others))
@@ -189,7 +189,7 @@ def _try(scene: Scene, task: Task, growth: float, *, reassigned: bool) -> Record
     """Measure one candidate in a block, and write its errors."""
     members = scene.members(task.number, task.level, reassigned=reassigned)
     others = scene.surroundings(task.number)
-    wanted = scene.pictures(members, others)
+    wanted = scene.deciding_targets(members, others)
     model = scene.stored(members).grown(growth)
     del members
     return scene.write(task.name, {}, {"errors": [_errors(model, wanted, others)]})
