@@ -20,7 +20,7 @@ from nanogs.scoring.scores import (
     reference_views,
     score,
 )
-from nanogs.scoring.unpacked import Unpacked
+from nanogs.scoring.unpacked import UnpackedModel
 from nanogs.source import Layout, Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.costing import views_of
@@ -251,7 +251,7 @@ def score_models(
         raise OptionError("Name at least one model to compare.")
     sheets = [Sheet(view.camera.name, data_uri(view.image)) for view in views if pictures]
     scores: list[ModelScore] = []
-    unpacked = Unpacked(keep=any(model.packed_as for model in models))
+    unpacked = UnpackedModel(keep=any(model.packed_as for model in models))
     progress.begin("score")
     for model in models:
         unpacked.begin(model.packed_as)

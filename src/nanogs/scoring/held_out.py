@@ -20,7 +20,7 @@ from nanogs.scoring.scores import (
     reference_views,
     score,
 )
-from nanogs.scoring.unpacked import Unpacked
+from nanogs.scoring.unpacked import UnpackedModel
 from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.views.cameras import cameras_for
@@ -75,7 +75,7 @@ class HeldOut:
         Returns:
             The scores of the file, as from `judge`, and the loss due to packing alone.
         """
-        beside = Unpacked(keep=True)
+        beside = UnpackedModel(keep=True)
 
         def scored(small: Splats, form: str) -> ModelScore:
             beside.begin(form)

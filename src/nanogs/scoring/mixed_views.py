@@ -117,11 +117,20 @@ class StreamLevels:
         rows, counts = self.drawn(choice), np.bincount(choice[choice != NOTHING], minlength=levels)
         shown = np.flatnonzero(counts).tolist()
         image, shares = self._picture(rows, camera, background, shown)
-        scores = psnr(view.image, image), ssim(view.image, image)
+        quality, similar = psnr(view.image, image), ssim(view.image, image)
         own = MixedView(
-            camera.name, tuple(counts.tolist()), int(np.count_nonzero(rows)),
-            *scores, None, *scores, 0.0, 0.0, 0.0,
-        )  # fmt: skip
+            view=camera.name,
+            chunks=tuple(counts.tolist()),
+            splats=int(np.count_nonzero(rows)),
+            psnr=quality,
+            ssim=similar,
+            coarse=None,
+            coarse_psnr=quality,
+            coarse_ssim=similar,
+            seams=0.0,
+            seam_error=0.0,
+            seam_coarse_error=0.0,
+        )
         if not shown:
             return own
         alone = {level: self._alone(level, camera, background) for level in shown[1:]}

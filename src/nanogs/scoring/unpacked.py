@@ -12,7 +12,7 @@ from nanogs.scoring.scores import ModelScore, ReferenceView, ViewScore, mean_psn
 
 
 @dataclass(slots=True)
-class Unpacked:
+class UnpackedModel:
     """The score and renders of the latest unpacked model; its packed files are scored after it.
 
     Attributes:

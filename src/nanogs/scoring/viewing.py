@@ -134,13 +134,7 @@ def view_files(
             inspect(path, level=_number(counts, level))
             for (_name, path), counts in zip(inputs, levels, strict=True)
         ]
-        page_alone = page_bytes(infos)
-        needed = compare_bytes(infos, largest, count) if measured else page_alone
-        allowed = allowed_memory(max_memory, compiled=measured)
-        remedy = "view smaller models"
-        if page_alone <= allowed_memory(max_memory, compiled=False).bytes:
-            remedy += ", or leave out the PSNR (`psnr=False`)"
-        refuse_too_large("Making this page", needed, allowed, remedy)
+        _refuse_too_large(infos, (largest, count) if measured else None, max_memory)
         models = _read(inputs, levels, level, render_mode, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):
@@ -175,6 +169,28 @@ def view_files(
         notes=notes,
         seconds=dict(clock.seconds),
     )
+
+
+def _refuse_too_large(
+    infos: Sequence[FileInfo], measured: tuple[int, int] | None, max_memory: int | None
+) -> None:
+    """Refuse models that do not fit into memory while the page is made.
+
+    Args:
+        infos: Of the files.
+        measured: Pixels and number of the views to measure on; None if nothing is measured.
+        max_memory: Bytes that this process may take; by default the free memory.
+
+    Raises:
+        NotEnoughMemoryError: They do not.
+    """
+    page_alone = page_bytes(infos)
+    needed = page_alone if measured is None else compare_bytes(infos, *measured)
+    remedy = "view smaller models"
+    if page_alone <= allowed_memory(max_memory, compiled=False).bytes:
+        remedy += ", or leave out the PSNR (`psnr=False`)"
+    allowed = allowed_memory(max_memory, compiled=measured is not None)
+    refuse_too_large("Making this page", needed, allowed, remedy)
 
 
 def _read(

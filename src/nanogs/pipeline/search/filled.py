@@ -6,7 +6,7 @@ from functools import partial
 from nanogs.errors import TooSmallError
 from nanogs.pipeline.options.target import count_for_size
 from nanogs.pipeline.search.file_size import FittedSize, fit_size, too_small, whole_fits
-from nanogs.pipeline.search.packer import Packed, Packer
+from nanogs.pipeline.search.packer import ChosenPacking, Packer
 from nanogs.pipeline.search.packing import Packing
 from nanogs.pipeline.search.results import Delivered, T
 
@@ -68,7 +68,7 @@ def _smallest(packer: Packer[T]) -> Packing:
     return packing
 
 
-def _filled(packer: Packer[T], packed: Packed) -> tuple[T, FittedSize]:
+def _filled(packer: Packer[T], packed: ChosenPacking) -> tuple[T, FittedSize]:
     """Make the result that fills a size in a given packing, and tell which counts were tried.
 
     Raises:

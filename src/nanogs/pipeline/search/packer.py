@@ -29,7 +29,7 @@ CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give t
 
 
 @dataclass(frozen=True, slots=True)
-class Packed:
+class ChosenPacking:
     """The packing of results that was chosen, by rendering where possible.
 
     Attributes:
@@ -92,12 +92,12 @@ class Packer(Generic[T]):
     tried: int = field(default=0, init=False)
     _guesses: dict[Packing, int] = field(default_factory=dict, init=False)
 
-    def pack(self) -> Packed:
+    def pack(self) -> ChosenPacking:
         """Choose the packing."""
         degree = self.sample.sh_degree
         choices = self.request.choices(degree)
         packed = partial(
-            Packed,
+            ChosenPacking,
             highest=choices.degrees[-1],
             wanted=self.request.wanted(degree),
             suffix=self.request.known.suffix,
@@ -210,7 +210,7 @@ class PackingForPsnr(Generic[T]):
     sample: Callable[[], Splats]
     files: Files[T]
     progress: Tracker
-    packed: Packed | None = None
+    packed: ChosenPacking | None = None
 
     def __call__(self, count: int) -> tuple[Results[T], int]:
         """Choose the packing for files about as large as that of a plain cut.
@@ -263,5 +263,5 @@ class PackingForPsnr(Generic[T]):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the choice; see `Packed.notes`."""
+        """Notes on the choice; see `ChosenPacking.notes`."""
         return self.packed.notes if self.packed else ()
