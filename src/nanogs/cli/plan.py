@@ -18,7 +18,7 @@ from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
-from nanogs.pipeline.estimates.block_plan import ScalePlan
+from nanogs.pipeline.estimates.block_plan import BlockPlan
 from nanogs.pipeline.estimates.memory import MemoryPlan
 from nanogs.pipeline.in_blocks import block_memory, plan_job
 from nanogs.pipeline.in_memory import import_stages, usable_rows
@@ -61,7 +61,7 @@ class Plan:
     count: int | None
     free: Memory
     divided: bool = False
-    blocks: ScalePlan | None = None
+    blocks: BlockPlan | None = None
     usable: int | None = None
 
     @property
@@ -134,7 +134,7 @@ class Plan:
         info = replace(self.info, splats=len(splats))
         return replace(self, info=info, count=count, usable=len(rows))
 
-    def _divide(self) -> tuple[Settings, ScalePlan]:
+    def _divide(self) -> tuple[Settings, BlockPlan]:
         request, elsewhere = self.request, self.method.blocks.scheduler is not None
         folder = request.folder if request.resume else None
         size = block_memory(

@@ -19,7 +19,7 @@ from nanogs.memory import allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
 from nanogs.method.parameters import ForestParameters
 from nanogs.paths import exists
-from nanogs.pipeline.estimates.block_plan import MemoryLimit, ScalePlan, plan_blocks
+from nanogs.pipeline.estimates.block_plan import BlockPlan, MemoryLimit, plan_blocks
 from nanogs.pipeline.job.folder import read_manifest
 from nanogs.pipeline.job.rows import (
     RUN_ROWS,
@@ -65,11 +65,11 @@ def fill_in_blocks(
     """
     start, clock = time.perf_counter(), StageClock()
     folder, goals = request.folder, request.goals
-    max_memory, block, reason = block_memory(
+    max_memory, block, limit = block_memory(
         request.max_memory, request.block, folder if request.resume else None,
         elsewhere=request.executor is not None, found_free=request.found_free,
     )  # fmt: skip
-    settings, divided = plan_job(request, max_memory, block, reason)
+    settings, plan = plan_job(request, max_memory, block, limit)
     # Imported here because these import Numba, which `--help` and `info` do without.
     from nanogs.pipeline.job.report import report_of
     from nanogs.pipeline.job.result_writer import ResultWriter
@@ -82,7 +82,7 @@ def fill_in_blocks(
     else:
         registry.writer(request.output)
     if not request.resume:
-        refuse_full_disk(divided, folder, request.scratch)
+        refuse_full_disk(plan, folder, request.scratch)
 
     def reports(done: "Done", written: Sequence[Written]) -> list[SimplifyReport]:
         first, *others = (
@@ -104,8 +104,8 @@ def fill_in_blocks(
     try:
         done, written = job.run(execution, clock, on_step, resume=request.resume)
     except CrowdedError as error:
-        limit = "block" if request.block else "max_memory"
-        raise CrowdedError(f"{error}; raise `{limit}`.") from None
+        option = "block" if request.block else "max_memory"
+        raise CrowdedError(f"{error}; raise `{option}`.") from None
     return written, reports(done, written)
 
 
@@ -161,15 +161,15 @@ def plan_job(
     request: "Request",
     max_memory: int | None,
     block: int | None,
-    reason: MemoryLimit = MemoryLimit.GIVEN,
-) -> tuple[Settings, ScalePlan]:
+    limit: MemoryLimit = MemoryLimit.GIVEN,
+) -> tuple[Settings, BlockPlan]:
     """Plan the job and its memory and disk use; only headers are read, with filters all rows.
 
     Args:
         request: All arguments of the call.
         max_memory: Bytes that a process may take; not needed if `block` is given.
         block: Number of splats of a block, instead of as many as the memory allows.
-        reason: The reason for `max_memory`.
+        limit: The reason for `max_memory`.
 
     Raises:
         NanogsError: An input cannot be read, filters leave nothing or need the whole model, or
@@ -186,14 +186,14 @@ def plan_job(
         _refuse_no_room_to_measure(request, searched=seen)
     delivered = layout.reduced(request.sh_degree)
 
-    def planned(splats: int) -> ScalePlan:
+    def planned(splats: int) -> BlockPlan:
         # A search may try any count, and keeps the files of two results at a time.
         counts = [] if sought else request.counts(splats, delivered)
         shares = tuple(count / splats for count in counts) or (1.0, 1.0)
         return plan_blocks(
             splats, layout, chosen, shares, max_memory, block, request.chunks,
             beside=pictures_bytes(PIXELS**2, VIEWS) if seen else 0,
-            limit=reason, searched=sought is not None,
+            limit=limit, searched=sought is not None,
         )  # fmt: skip
 
     plan = planned(sum(each.splats for each in inputs))
@@ -222,7 +222,7 @@ def plan_job(
         at_most=request.goal.size is not None,
     )
     _refuse_small_size(request, settings)
-    return settings, plan.unpacking(cost_of(settings), None if block else max_memory, reason)
+    return settings, plan.unpacking(cost_of(settings), None if block else max_memory, limit)
 
 
 def _refuse_no_room_to_measure(request: "Request", *, searched: bool) -> None:
@@ -290,7 +290,7 @@ def _held_whole(request: "Request", layout: Layout, max_memory: int | None) -> i
     return most
 
 
-def refuse_full_disk(plan: ScalePlan, folder: Path, scratch: str | None) -> None:
+def refuse_full_disk(plan: BlockPlan, folder: Path, scratch: str | None) -> None:
     """Raise if the disk has no room for the intermediate files; a URL is not checked.
 
     Args:

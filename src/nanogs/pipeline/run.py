@@ -94,8 +94,7 @@ class Run:
                 self.kept += len(tasks) - len(left)
                 progress.begin(stage.name)
                 progress.part(len(tasks) - len(left), len(tasks))
-                # Units are computed in this process, while workers of this machine start.
-                doing = InProcess() if stage.name == "frame" else self.runner
+                doing = InProcess() if stage.here else self.runner
                 for done, task in enumerate(doing.run(work, left), len(tasks) - len(left) + 1):
                     work.record(task)  # cached: the report is made after the scratch is gone
                     progress.part(done, len(tasks))

@@ -84,6 +84,7 @@ class JobStage:
         needed: Whether there is anything to do for a level, once the stages before it are done.
         held: Whether a model in memory has the stage, too.
         last: Whether it comes after all results are made.
+        here: Whether the calling process does it, while workers of this machine start.
     """
 
     name: str
@@ -96,6 +97,7 @@ class JobStage:
     needed: Callable[[Any, int], bool] = _always
     held: bool = False
     last: bool = False
+    here: bool = False
 
     def count(self, scene: Scene, level: int) -> int:
         """Return the number of tasks for a level; the stages before it must be done."""
@@ -349,7 +351,7 @@ STAGES = {
     stage.name: stage
     for stage in (
         JobStage("unpack", "file", _unpack, 1.0, wanted=_unpacks),
-        JobStage("frame", "job", _units, 0.3, held=True),
+        JobStage("frame", "job", _units, 0.3, held=True, here=True),  # makes the `Units`
         JobStage("segment", "segment", spill, 0.5),
         JobStage("partition", "job", _partition, 0.05),
         JobStage("rough", "block", _rough, 3.0, wanted=_looks, needed=_divided),

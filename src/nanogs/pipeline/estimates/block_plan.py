@@ -39,7 +39,7 @@ class MemoryLimit(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class ScalePlan:
+class BlockPlan:
     """Blocks, memory, disk and time that a job takes.
 
     Attributes:
@@ -62,7 +62,7 @@ class ScalePlan:
 
     def unpacking(
         self, cost: Cost, max_memory: int | None, limit: MemoryLimit = MemoryLimit.GIVEN
-    ) -> "ScalePlan":
+    ) -> "BlockPlan":
         """Return the plan with the cost of unpacking the inputs first.
 
         Args:
@@ -94,7 +94,7 @@ def plan_blocks(
     beside: int = 0,
     limit: MemoryLimit = MemoryLimit.GIVEN,
     searched: bool = False,
-) -> ScalePlan:
+) -> BlockPlan:
     """Plan blocks as large as the memory allows.
 
     Args:
@@ -132,7 +132,7 @@ def plan_blocks(
         splats, block, blocks, layout, parameters, shares,
         encoded=chunks is not None, searched=searched,
     )  # fmt: skip
-    return ScalePlan(
+    return BlockPlan(
         splats=splats,
         block=block,
         segment=segment,
