@@ -23,7 +23,7 @@ from nanogs.protocol import PackingLoss, Protocol
 from nanogs.raster.camera import Camera
 from nanogs.raster.images import color_image, depth_image, to_bytes
 from nanogs.raster.rendering import Rendering, prepare, render
-from nanogs.scoring.comparison import NamedModel, compare_models
+from nanogs.scoring.comparison import NamedModel, Scoring, compare_models
 from nanogs.scoring.page import rate_distortion_plot, render_page
 from nanogs.scoring.pictures import data_uri, error_map
 from nanogs.scoring.run import compare_files
@@ -154,7 +154,10 @@ def test_a_comparison_without_models_or_with_an_unknown_metric_is_refused():
         compare_models(NamedModel("r", splats), [], [camera()])
     with pytest.raises(OptionError, match="vmaf"):
         compare_models(
-            NamedModel("r", splats), [NamedModel("s", splats)], [camera()], extras=["vmaf"]
+            NamedModel("r", splats),
+            [NamedModel("s", splats)],
+            [camera()],
+            scoring=Scoring(extras=["vmaf"]),
         )
 
 
@@ -423,7 +426,7 @@ def test_pictures_of_any_shape_are_seen_whole(browser, tmp_path):
     ]
     found, sheets = compare_models(
         NamedModel("all", splats), [NamedModel("small", simplified(splats, 0.5))], views,
-        pictures=True,
+        scoring=Scoring(pictures=True),
     )  # fmt: skip
     (tmp_path / "page.html").write_text(render_page(found, sheets, "Shapes"), encoding="utf-8")
     page = browser.new_page(viewport={"width": 1000, "height": 600})

@@ -16,7 +16,7 @@ from nanogs.kernels.covering import cover_tiles
 from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.project import HIDDEN, unpack_box
 from nanogs.raster.rendering import prepare, project, project_rows
-from nanogs.scoring.comparison import NamedModel
+from nanogs.scoring.comparison import NamedModel, Scoring
 from nanogs.scoring.on_sets import compare_on_sets
 from nanogs.scoring.view_sets import view_sets
 from nanogs.splats import RenderMode
@@ -192,7 +192,7 @@ def test_models_that_are_read_in_blocks_have_the_same_draw_cost(pair):
         NamedModel(pair[0].name, nanogs.open(pair[0])),
         [NamedModel(pair[1].name, nanogs.open(pair[1]))],
         view_sets(nanogs.load(pair[0]), ["auto"], [(64, 64)], views=2),
-        room=LEAST,
+        scoring=Scoring(costs=True, room=LEAST),
     )[0]
     assert streamed.models[0].cost == in_memory.models[0].cost
     assert streamed.reference_cost == in_memory.reference_cost

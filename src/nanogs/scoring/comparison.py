@@ -34,7 +34,7 @@ class NamedModel:
 
     Attributes:
         name: Its name; models of one name count as one method at several sizes.
-        splats: The model. A source is read some rows at a time if `compare_models` has `room`, and
+        splats: The model. A source is read some rows at a time if `Scoring` has `room`, and
             otherwise loaded.
         file_bytes: Size of its file, or None.
         packed_as: Suffix of the format if the model is read back from a packed file; it is then
@@ -137,6 +137,27 @@ class Sheet:
     label: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scoring:
+    """What is measured of each model, and how models are read.
+
+    Attributes:
+        extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
+        pictures: Whether the pictures for a page are made, too; otherwise there are no sheets.
+        costs: Whether the draw costs are measured, too.
+        room: Bytes for splats while rendering, to read models some rows at a time; None to load
+            them.
+    """
+
+    extras: Sequence[str] = ()
+    pictures: bool = False
+    costs: bool = False
+    room: int | None = None
+
+
+USUAL = Scoring()
+
+
 def compare_models(
     reference: NamedModel,
     models: Sequence[NamedModel],
@@ -144,10 +165,7 @@ def compare_models(
     *,
     kind: Kind = "given",
     background: Background = BLACK,
-    extras: Sequence[str] = (),
-    pictures: bool = False,
-    costs: bool = False,
-    room: int | None = None,
+    scoring: Scoring = USUAL,
     progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
     """Score models against a reference model.
@@ -158,11 +176,7 @@ def compare_models(
         cameras: The views.
         kind: Kind of the views; all but "given" are automatic test views.
         background: RGB in [0, 1] behind the splats.
-        extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
-        pictures: Also make the pictures for a page; otherwise there are no sheets.
-        costs: Also measure the draw cost of each model and of the reference.
-        room: Bytes for splats while rendering, to read models some rows at a time; None to load
-            them.
+        scoring: What is measured; the draw cost of the reference, too, if those of models are.
         progress: Receives the stages "render", for the reference, and "score".
 
     Raises:
@@ -171,7 +185,7 @@ def compare_models(
     """
     progress = progress or Tracker(None, [])
     progress.begin("render")
-    drawn = drawable(reference.splats, room)
+    drawn = drawable(reference.splats, scoring.room)
     views, skipped = reference_views(drawn, cameras, background, progress.part)
     del drawn
     notes = notes_on_views(skipped, "nothing of the reference is visible; left out of every mean")
@@ -180,11 +194,8 @@ def compare_models(
         notes.append(f"the reference: {undrawn(first.skipped)}")
     notes += [*_differences(reference, models), *camera_notes(cameras)]
     protocol = views_of(_cameras(views), kind, background=background)
-    cost = cost_on(reference.splats, _cameras(views), protocol) if costs else None
-    scores, sheets = score_models(
-        models, views, protocol, extras=extras, pictures=pictures, costs=costs, room=room,
-        progress=progress,
-    )  # fmt: skip
+    cost = cost_on(reference.splats, _cameras(views), protocol) if scoring.costs else None
+    scores, sheets = score_models(models, views, protocol, scoring, progress)
     found = _comparison(
         reference.name, len(reference.splats), views, skipped, protocol, scores, notes
     )
@@ -198,12 +209,10 @@ def compare_with_photographs(
     *,
     split: str,
     background: Background,
-    extras: Sequence[str] = (),
-    pictures: bool = False,
-    room: int | None = None,
+    scoring: Scoring = USUAL,
     progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
-    """Score models against photographs, and measure the draw cost of each.
+    """Score models against photographs.
 
     Args:
         source: The photographs' folder, as shown to the reader.
@@ -211,19 +220,15 @@ def compare_with_photographs(
         views: Cameras and photographs, at least one, from `photos.photographs`.
         split: Their split of the data set, "test" or "train".
         background: RGB in [0, 1] behind the splats and the photographs' transparent parts.
-        extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
-        pictures: Also make the pictures for a page.
-        room: As for `compare_models`.
+        scoring: What is measured.
         progress: Receives the stage "score".
 
     Raises:
         OptionError: No model is given.
     """
     protocol = views_of(_cameras(views), "photographs", split, background)
-    scores, sheets = score_models(
-        models, views, protocol, extras=extras, pictures=pictures, costs=True, room=room,
-        progress=progress or Tracker(None, []),
-    )  # fmt: skip
+    progress = progress or Tracker(None, [])
+    scores, sheets = score_models(models, views, protocol, scoring, progress)
     return _comparison(source, None, views, [], protocol, scores, []), sheets
 
 
@@ -235,11 +240,7 @@ def score_models(
     models: Sequence[NamedModel],
     views: Sequence[ReferenceView],
     protocol: Protocol,
-    *,
-    extras: Sequence[str],
-    pictures: bool,
-    costs: bool,
-    room: int | None,
+    scoring: Scoring,
     progress: Tracker,
 ) -> tuple[list[ModelScore], list[Sheet]]:
     """Score each model on the same views, and make the pictures for a page if requested.
@@ -249,7 +250,7 @@ def score_models(
     """
     if not models:
         raise OptionError("Name at least one model to compare.")
-    sheets = [Sheet(view.camera.name, data_uri(view.image)) for view in views if pictures]
+    sheets = [Sheet(view.camera.name, data_uri(view.image)) for view in views if scoring.pictures]
     scores: list[ModelScore] = []
     unpacked = UnpackedModel(keep=any(model.packed_as for model in models))
     progress.begin("score")
@@ -262,7 +263,7 @@ def score_models(
         def scored(view: ReferenceView, rendering: Rendering, found: ViewScore) -> None:
             progress.part(next(done), len(models) * len(views))  # noqa: B023
             unpacked.see(rendering)
-            if not pictures:
+            if not scoring.pictures:
                 return
             sheet = next(remaining)  # noqa: B023
             sheet.results.append(data_uri(rendering.shown()))
@@ -271,14 +272,14 @@ def score_models(
 
         found = score(
             model.name,
-            drawable(model.splats, room),
+            drawable(model.splats, scoring.room),
             views,
             protocol.background,
             file_bytes=model.file_bytes,
-            extras=extras,
+            extras=scoring.extras,
             on_view=scored,
         )
-        if costs:
+        if scoring.costs:
             found = replace(found, cost=cost_on(model.splats, _cameras(views), protocol))
         scores.append(unpacked.end(found))
     return scores, sheets

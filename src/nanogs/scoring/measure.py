@@ -12,6 +12,7 @@ from nanogs.raster.camera import Camera
 from nanogs.scoring.comparison import (
     Comparison,
     NamedModel,
+    Scoring,
     Sheet,
     compare_with_photographs,
 )
@@ -62,6 +63,10 @@ class Measurement:
     max_memory: int | None
     pictures: bool = False
     shown: bool = False
+
+    def scoring(self, room: int | None) -> Scoring:
+        """Return what is measured of each model, draw costs included; see `Scoring`."""
+        return Scoring(extras=self.extras, pictures=self.pictures, costs=True, room=room)
 
 
 class ScoredModels(NamedTuple):
@@ -126,8 +131,8 @@ def _on_views(
 ) -> ScoredModels:
     sets, behind = views.sets(models[0].splats), how.background or BLACK
     comparison, sheets = compare_on_sets(
-        models[0], models[1:], sets, background=behind, extras=how.extras, pictures=how.pictures,
-        room=room, progress=progress,
+        models[0], models[1:], sets,
+        background=behind, scoring=how.scoring(room), progress=progress,
     )  # fmt: skip
     return ScoredModels(comparison, sheets, models, sets[0].cameras, behind)
 
@@ -144,8 +149,7 @@ def _on_photographs(
     progress.begin("photographs")
     comparison, sheets = compare_with_photographs(
         str(asked.folder), models, list(photos), split=asked.split,
-        background=photos.background, extras=how.extras, pictures=how.pictures, room=room,
-        progress=progress,
+        background=photos.background, scoring=how.scoring(room), progress=progress,
     )  # fmt: skip
     comparison = replace(comparison, notes=(*comparison.notes, *photos.notes))
     return ScoredModels(comparison, sheets, models, photos.cameras, photos.background)

@@ -5,7 +5,14 @@ from dataclasses import replace
 
 from nanogs.progress import Tracker
 from nanogs.protocol import BLACK, Background, Kind
-from nanogs.scoring.comparison import Comparison, NamedModel, Sheet, compare_models
+from nanogs.scoring.comparison import (
+    USUAL,
+    Comparison,
+    NamedModel,
+    Scoring,
+    Sheet,
+    compare_models,
+)
 from nanogs.scoring.view_sets import ViewSet
 
 
@@ -15,9 +22,7 @@ def compare_on_sets(
     sets: Sequence[ViewSet],
     *,
     background: Background = BLACK,
-    extras: Sequence[str] = (),
-    pictures: bool = False,
-    room: int | None = None,
+    scoring: Scoring = USUAL,
     progress: Tracker | None = None,
 ) -> tuple[Comparison, list[Sheet]]:
     """Score models against a reference model on several sets of views.
@@ -27,9 +32,7 @@ def compare_on_sets(
         models: At least one.
         sets: At least one; the result on the first holds the others in `further`.
         background: RGB in [0, 1] behind the splats.
-        extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
-        pictures: Also make the pictures for a page, of each kind at its first size.
-        room: As for `compare_models`.
+        scoring: What is measured; pictures are made of each kind at its first size.
         progress: Receives the stages "render" and "score" of each set.
 
     Raises:
@@ -45,10 +48,7 @@ def compare_on_sets(
             views.cameras,
             kind=views.kind,
             background=background,
-            extras=extras,
-            pictures=pictures and views.kind not in pictured,
-            costs=True,
-            room=room,
+            scoring=replace(scoring, pictures=scoring.pictures and views.kind not in pictured),
             progress=progress,
         )
         pictured.add(views.kind)

@@ -23,7 +23,7 @@ def render_page(
 
     Args:
         comparison: The numbers.
-        sheets: The pictures, from `compare_models(..., pictures=True)`.
+        sheets: The pictures, from `compare_models` with `Scoring(pictures=True)`.
         title: Heading of the page.
         viewer: From `nanogs.view.page.viewer_part`: an interactive part, which starts when a button
             is pressed; None for a page without it.
