@@ -159,9 +159,8 @@ def simplify(
             outcome = _searched(checked, goal, files, threads_used, tracker)
             target = len(outcome.splats)
         else:
-            outcome = checked.deliverer(target, threads_used, clock, tracker)(
-                target, clock, tracker
-            )
+            deliver = checked.deliverer(target, threads_used, clock, tracker)
+            outcome = deliver(target, clock, tracker)
             if size is not None:
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, fields={"achieved_size": achieved})

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -140,16 +141,13 @@ class CheckedModel:
         if isinstance(chosen, PaperParameters):
             from nanogs.pipeline.published import simplify_as_published
 
-            return lambda target, clock, progress: simplify_as_published(
-                self.splats, self.rows, target, chosen, clock, progress
-            )
+            return partial(simplify_as_published, self.splats, self.rows, chosen)
         from nanogs.pipeline.run import deliver
 
         if smallest == len(self.rows):
             whole = self.whole()
             return lambda _target, _clock, _progress: whole
-        scene = self.build(threads, clock, progress)
-        return lambda target, clock, progress: deliver(scene, target, clock, progress)
+        return partial(deliver, self.build(threads, clock, progress))
 
     def report(
         self,

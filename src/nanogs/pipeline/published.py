@@ -15,8 +15,8 @@ from nanogs.splats import Splats
 def simplify_as_published(
     splats: Splats,
     rows: I32,
-    target: int,
     parameters: PaperParameters,
+    target: int,
     clock: StageClock,
     progress: Tracker,
 ) -> Outcome:
@@ -25,8 +25,8 @@ def simplify_as_published(
     Args:
         splats: The model.
         rows: (M,) its usable rows, ascending.
-        target: Splats to deliver, from 1 to M.
         parameters: Of the method.
+        target: Splats to deliver, from 1 to M.
         clock: Gets the seconds of each stage.
         progress: Notified of each stage.
     """
