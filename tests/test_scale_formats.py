@@ -227,6 +227,22 @@ def test_a_file_that_changes_during_the_job_is_refused(tmp_path, splats, monkeyp
         nanogs.simplify_blocks(path, tmp_path / "small.ply", ratio=0.3, **FAST)
 
 
+def test_a_file_that_cannot_be_read_any_more_is_refused_with_the_reason(
+    tmp_path, splats, monkeypatch
+):
+    path, do = tmp_path / "scene.ply", stages.do
+    nanogs.save(splats, path)
+
+    def damage(context, task):
+        if task.stage == "segment":
+            path.write_bytes(path.read_bytes()[:40])
+        return do(context, task)
+
+    monkeypatch.setattr(run, "do", damage)
+    with pytest.raises(FormatError, match=r"changed since .*, or cannot be read here: .*header"):
+        nanogs.simplify_blocks(path, tmp_path / "small.ply", ratio=0.3, **FAST)
+
+
 def test_a_file_that_changes_while_it_is_unpacked_is_refused(packed, tmp_path, monkeypatch):
     real = spz.body_pieces
 

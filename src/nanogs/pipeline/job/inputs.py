@@ -47,7 +47,7 @@ def open_unchanged(file: InputFile) -> FileSource:
     """Open a file, after checking that it has not changed since the job began.
 
     Raises:
-        FormatError: It has changed, or is missing.
+        FormatError: It has changed, is missing, or cannot be read here.
     """
     if not Path(file.path).exists():
         raise FormatError(
@@ -57,8 +57,10 @@ def open_unchanged(file: InputFile) -> FileSource:
     try:
         source = open_model(file.path)
         same = _identity(source) == (file.bytes, file.modified)
-    except (OSError, FormatError):
-        same = False
+    except (OSError, FormatError) as error:
+        raise FormatError(
+            f"{file.path} has changed since the job began, or cannot be read here: {error}"
+        ) from error
     if not same or access_of(source) is not file.access:
         raise FormatError(f"{file.path} has changed since the job began; begin it anew.")
     return source
