@@ -208,6 +208,14 @@ def test_the_model_and_photographs_must_fit_in_memory_together(capture):
     assert nanogs.mode_evidence(model, photos=photos, max_memory=fitting).photographs
 
 
+@pytest.mark.parametrize(
+    "views", [{"cameras": "roam"}, {"up": (0, 0, 1)}, {"views": 3}, {"pixels": (64, 32)}]
+)
+def test_views_beside_photographs_are_refused(capture, views):
+    with pytest.raises(OptionError, match="`photos` cannot be combined with options for views"):
+        nanogs.mode_evidence(capture / "model.ply", photos=capture / "mip", **views)
+
+
 def test_a_split_without_photographs_is_refused(capture):
     with pytest.raises(OptionError, match="must be test or train, not 'validation'"):
         nanogs.mode_evidence(capture / "model.ply", photos=capture / "mip", split="validation")

@@ -16,7 +16,12 @@ from nanogs.protocol import PIXELS, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import one_or_several
 from nanogs.scoring.packing import packing_of
-from nanogs.scoring.view_sets import Pixels, compared_views, refuse_beside_views
+from nanogs.scoring.view_sets import (
+    Pixels,
+    compared_views,
+    refuse_beside_photos,
+    refuse_beside_views,
+)
 from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
@@ -92,11 +97,8 @@ def compare(
     """
     called, requested = _names(original, models, names), compared_views(cameras, pixels, views, up)
     background = None if background is None else plain_background(background)
-    if photos is not None and (up is not None or requested != compared_views("auto", PIXELS)):
-        raise OptionError(
-            "`photos` cannot be combined with options for views, because photographs have views of"
-            " their own; leave these options out."
-        )
+    usual = up is None and requested == compared_views("auto", PIXELS)
+    refuse_beside_photos(photos, views=not usual)
     refuse_beside_views(photos, images, split)
     if format_options and not packed:
         raise OptionError("`format_options` work only with `packed`; name the formats with it.")

@@ -20,10 +20,10 @@ from nanogs.progress import PartProgress, Progress, Stage, Tracker
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.raster.camera import camera_notes
-from nanogs.scoring.view_sets import refuse_beside_views
+from nanogs.scoring.view_sets import refuse_beside_photos, refuse_beside_views
 from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats
-from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
+from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras, picture_size
 from nanogs.views.costing import pictures_of, views_of
 from nanogs.views.plan import rendering_remedy, room_for_pictures
 
@@ -120,9 +120,9 @@ def mode_evidence(
 
     Args:
         model: The model, or a path.
-        cameras: As for `render`; without effect if photographs are given.
+        cameras: As for `render`.
         photos: Folder of a NeRF-Synthetic, nerfstudio or COLMAP data set, to compare with its
-            photographs.
+            photographs. Excludes the arguments of views.
         images: Folder of the photographs in a COLMAP data set.
         split: Photographs to use, "test" or "train".
         background: RGB in [0, 1] behind the splats; by default black, and for photographs the data
@@ -185,6 +185,9 @@ def render_findings(
     The other arguments are those of `mode_evidence`.
     """
     refuse_beside_views(photos, images, split)
+    if photos is not None:
+        usual = views == VIEWS and picture_size(pixels) == (PIXELS, PIXELS)
+        refuse_beside_photos(photos, views=not usual or cameras != "auto" or up is not None)
     limit = None if max_memory is None else as_bytes(max_memory)
     background = None if background is None else plain_background(background)
     wanted = known_cameras(cameras, up, views, pixels) if photos is None else []

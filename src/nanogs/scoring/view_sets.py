@@ -159,6 +159,23 @@ def refuse_beside_views(photos: str | PathLike[str] | None, images: str | None, 
         )
 
 
+def refuse_beside_photos(photos: str | PathLike[str] | None, *, views: bool) -> None:
+    """Refuse options for views beside photographs, which would have no effect.
+
+    Args:
+        photos: Folder of the data set, or None.
+        views: Whether views other than the usual automatic ones are asked for.
+
+    Raises:
+        OptionError: Both are given.
+    """
+    if photos is not None and views:
+        raise OptionError(
+            "`photos` cannot be combined with options for views, because photographs have views of"
+            " their own; leave these options out."
+        )
+
+
 def parse_sources(text: str) -> list[str]:
     """Split kinds of cameras at commas, such as "auto,roam"; anything else is the path of a file.
 
