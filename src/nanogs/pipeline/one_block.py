@@ -327,10 +327,9 @@ class OneBlock(Scene):
     def settle(self, name: str, block: int, level: int) -> Record:
         """Reassign the splats after the chosen cut; see `Scene.settle`."""
         assert self._leaves is not None  # noqa: S101 - an earlier stage
-        picked = self.picked(level)
-        labels = self.cut(block, level, picked)
+        labels = self.picked_labels(block, level)
         # Only the chosen cut is used from here on: free the other candidates.
-        self._cuts, self._corrected = {picked: labels}, {}
+        self._cuts, self._corrected = {self.picked(level): labels}, {}
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
         blurs = self.placement.dilation.blurs(self._leaves.means)
@@ -340,7 +339,7 @@ class OneBlock(Scene):
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
         """Return the splats and groups of the chosen cut, or after reassignment."""
         own = self.open(block)
-        labels = self._settled if reassigned else self.cut(block, level, self.picked(level))
+        labels = self._settled if reassigned else self.picked_labels(block, level)
         assert labels is not None  # noqa: S101 - an earlier stage
         return Members(own.splats, own.rows, own.visible, labels)
 

@@ -377,6 +377,10 @@ class Scene(ABC):
         """Return the number of the cut chosen for a level; 0 if none was tried."""
         return int(self.of_job("pick", level).facts["cut"]) if self.tries(level) else 0
 
+    def picked_labels(self, block: int, level: int) -> I32:
+        """Return the group of each leaf of a block in the chosen cut, before reassignment."""
+        return self.cut(block, level, self.picked(level))
+
     def tries(self, level: int) -> bool:
         """Whether several candidates of a result are made and compared."""
         return self.guided and self.merges(level)

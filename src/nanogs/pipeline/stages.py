@@ -18,6 +18,7 @@ from nanogs.method.correct import unseen_changes
 from nanogs.method.parameters import MOST_CORRECTIONS
 from nanogs.pipeline.estimates.stage_weights import (
     Load,
+    chunking_seconds,
     correcting_seconds,
     fitting_seconds,
     judging_seconds,
@@ -224,7 +225,8 @@ def _cut(work: Work, task: Task) -> Record:
     # The centres and reaches of groups need no colours.
     splats, rows = work.block(task.number, work.settings.layout.bare())
     leaves = leaves_of(splats, rows, work.units, work.weighing(work.visible(task.number)))
-    labels, groups = work.labels(task.number, task.level), work.group_count(task.number, task.level)
+    block, level = task.number, task.level
+    labels, groups = work.picked_labels(block, level), work.group_count(block, level)
     return write_cut(work.scratch, task.name, leaves, labels, groups)
 
 
@@ -395,7 +397,9 @@ STAGES = {
         ),
         _for_each_result("rest", "job", write_rest, 0.2, wanted=_in_chunks, last=True),
         JobStage("cells", "block", write_cells, 0.5, wanted=_in_chunks, last=True),
-        _for_each_result("chunk", "block", write_chunks, 1.0, wanted=_in_chunks, last=True),
+        _for_each_result(
+            "chunk", "block", write_chunks, chunking_seconds, wanted=_in_chunks, last=True
+        ),
         JobStage("tree", "block", write_tree, 9.0, wanted=_in_a_tree, needed=_links, last=True),
     )
 }  # fmt: skip

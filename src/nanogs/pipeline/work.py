@@ -268,10 +268,6 @@ class Work(Scene):
             return forest, number_of(forest, self.balances[number])
         return self.of_block(nth("correct", step), block, level), 0
 
-    def labels(self, block: int, level: int) -> I32:
-        """Return (N,) the group of each leaf of a block in the chosen cut, before reassignment."""
-        return self.cut(block, level, self.picked(level))
-
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
         """Read the splats and groups of a block; some splats may come from other blocks.
 
@@ -282,7 +278,9 @@ class Work(Scene):
         """
         if not reassigned:
             whole = self.open(block)
-            return Members(whole.splats, whole.rows, whole.visible, self.labels(block, level))
+            return Members(
+                whole.splats, whole.rows, whole.visible, self.picked_labels(block, level)
+            )
         given = self._handed_to(block, level)
         own = self.partition.count(block)
         count = own + sum(stop - start for _, start, stop in given)

@@ -26,23 +26,21 @@ from nanogs.progress import Stage
 def job_stages(settings: Settings) -> list[Stage]:
     """List the stages of a job in blocks, each weighted by its estimated duration."""
     ratios = settings.ratios or tuple(count / settings.splats for count in settings.counts)
-    packing = settings.chunks.weight if settings.chunks else 1.0
+    chunks, millions = settings.chunks, settings.splats / 1e6
+    encoding = chunks.weight if chunks else 1.0
     stages = []
     for stage, level in stages_of(settings):
         share = ratios[level] if stage.levels is None else 1.0
-        load = Load(settings.parameters, settings.splats / 1e6, share * settings.splats / 1e6)
-        stages.append(
-            Stage(stage.name, packing * load.left if stage.name == "chunk" else stage.weight(load))
-        )
+        load = Load(settings.parameters, millions, share * millions, encoding)
+        stages.append(Stage(stage.name, stage.weight(load)))
     if (sought := settings.search) is not None:
         splats = settings.splats
         before, after = search_stages(
             sought.goal.is_measured, settings.parameters, splats, sought.suffix
         )
         stages += [*before, *after]
-    chunks = settings.chunks
     writing = chunks.weight * sum(ratios) if isinstance(chunks, Linked) else 0.1
-    return [*stages, Stage("write", writing * settings.splats / 1e6)]
+    return [*stages, Stage("write", writing * millions)]
 
 
 def result_stages(settings: Settings, count: int) -> list[Stage]:

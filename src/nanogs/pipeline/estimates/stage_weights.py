@@ -26,11 +26,13 @@ class Load:
         parameters: Of the method.
         splats: Of the model, millions.
         left: Of the result, millions.
+        encoding: Seconds for a million splats of a result that is made in chunks.
     """
 
     parameters: ForestParameters
     splats: float
     left: float
+    encoding: float = 1.0
 
 
 def looking_seconds(load: Load) -> float:
@@ -66,6 +68,11 @@ def correcting_seconds(load: Load) -> float:
 def settling_seconds(load: Load) -> float:
     """Estimate the seconds of reassigning the splats after a cut."""
     return (0.1 + 0.6 * load.parameters.rounds) * load.splats
+
+
+def chunking_seconds(load: Load) -> float:
+    """Estimate the seconds of encoding a result in chunks."""
+    return load.encoding * load.left
 
 
 def published_stages(splats: int) -> list[Stage]:
