@@ -17,7 +17,7 @@ from nanogs.pipeline.options.target import Goal, count_for_size
 from nanogs.pipeline.search.file_size import ENOUGH, search_fit
 from nanogs.pipeline.search.file_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.search.file_size import TOLERANCE as CLOSE
-from nanogs.pipeline.search.packer import Packed, PackingForPsnr
+from nanogs.pipeline.search.packer import ChosenPacking, PackingForPsnr
 from nanogs.pipeline.search.packing import Packing
 from nanogs.pipeline.search.psnr import MOST_PROBES, NEAR_DB, STEPS, reach_psnr, search_count
 from nanogs.progress import Tracker
@@ -405,7 +405,7 @@ def test_a_psnr_never_takes_more_bytes_than_the_whole_model(asked, whole_psnr, e
     def chosen(count):
         packing = Packing(0, None, (("bits", 8),))
         tried = (PackingReport(0, {}, count, 1, 30.0, 0.9),)
-        pack.packed = Packed(packing, count, tried, 0, 0, ".sog")
+        pack.packed = ChosenPacking(packing, count, tried, 0, 0, ".sog")
         return CountedResults(), count
 
     result, found = reach_psnr(results, asked, psnr_of, Tracker(None, []), chosen, pack.smaller)
