@@ -139,7 +139,7 @@ class Sheet:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scoring:
-    """What is measured of each model, and how models are read.
+    """The measurements of each model, and how models are read.
 
     Attributes:
         extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
