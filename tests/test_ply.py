@@ -122,6 +122,15 @@ def test_double_centres_stay_double(load, resave):
     assert b"property double x\n" in resave(model)
 
 
+@pytest.mark.parametrize("kind", ["int", "uint"])
+def test_centres_of_whole_numbers_stay_exact(load, kind):
+    columns = vertex(3, BASE, {"y": kind})
+    columns[1] = ("y", kind, [2**24 + 1, 2**31 - 1, 7])
+    model = load(ply(("vertex", columns)))
+    assert model.means[:, 1].tolist() == [2**24 + 1, 2**31 - 1, 7]
+    assert model.notes == ()
+
+
 def test_other_doubles_become_float_with_a_note(load):
     model = load(ply(("vertex", vertex(3, BASE, {"opacity": "double"}))))
     assert model.opacity_logits.tolist() == [7, 14, 21]
@@ -133,6 +142,14 @@ def test_double_beyond_float_is_reported(load):
     columns[6] = ("opacity", "double", np.array([1.0, 1e300, np.inf]))
     model = load(ply(("vertex", columns)))
     assert "1 value of 'opacity' became infinite when converted to float32." in model.notes
+
+
+def test_doubles_beyond_float_in_adjacent_columns_are_reported(load):
+    columns = vertex(3, BASE, dict.fromkeys(BASE[3:6], "double"))
+    columns[4] = (BASE[4], "double", np.array([-1e300, 2.0, 1e300]))
+    model = load(ply(("vertex", columns)))
+    assert model.sh[:, 0, 1].tolist() == [-np.inf, 2, np.inf]
+    assert "2 values of 'f_dc_1' became infinite when converted to float32." in model.notes
 
 
 def test_integer_colours_become_float_with_a_note(load):

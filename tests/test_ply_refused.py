@@ -41,6 +41,12 @@ def test_a_second_name_is_found_among_many_at_once(line, tmp_path):
     assert_refused(tmp_path / "a.ply", "a second")
 
 
+def test_a_header_that_goes_on_beyond_a_megabyte_is_not_read_to_its_end(tmp_path):
+    comments = b"comment as long as a usual one\n" * 40_000
+    (tmp_path / "a.ply").write_bytes(GOOD.replace(b"end_header", comments + b"end_header"))
+    assert_refused(tmp_path / "a.ply", "no 'end_header' line within the first 1048576 bytes")
+
+
 def test_a_missing_file_is_refused(tmp_path):
     assert_refused(tmp_path / "none.ply", "no such file")
 
@@ -89,6 +95,8 @@ def test_check_writable_uses_a_given_format(tmp_path):
         (ASCII.replace(b"vertex 3", b"vertex 999999999999999999"), "cut short"),
         (GOOD.replace(b"vertex 3", b"vertex"), "needs a name and a count"),
         (GOOD.replace(b"float x", b"flot x"), "line 4: unknown type 'flot' of property 'x'"),
+        (GOOD.replace(b"end_header", FACE.replace(b"uchar", b"byte")), "unknown type 'byte'"),
+        (GOOD.replace(b"end_header", FACE.replace(b"list uchar int", b"list uchar in")), "type 'in'"),
         (GOOD.replace(b"float x", b"float y"), "line 5: a second property 'y'"),
         (GOOD.replace(b"float x", b"float"), "needs a type and a name"),
         (GOOD.replace(b"end_header", b"element vertex 1\nend_header"), "second element 'vertex'"),

@@ -815,6 +815,17 @@ def test_zstd_streams_of_other_sizes_are_refused(load):
             load(bytes(new + data[32 + 5 * 16 + sizes[0] :]))
 
 
+def test_the_memory_to_open_a_file_is_that_of_its_largest_zstd_window(tmp_path):
+    memory = {}
+    for count in (1, 100_000):
+        path = tmp_path / f"{count}.spz"
+        io.save(random_splats(count, degree=0), path, format_options={"spz_version": 4})
+        with io.open(path) as source:
+            memory[count] = source.memory
+    # That of the centres, the first and largest of five columns, with 9 bytes a splat.
+    assert memory[100_000] - memory[1] > 800_000
+
+
 def test_a_decompression_bomb_is_not_inflated(load):
     """No more data are expanded than the header states."""
     data = encode([row()], 3, records=bytes(100_000_000))
