@@ -96,7 +96,7 @@ def test_check_writable_uses_a_given_format(tmp_path):
         (GOOD.replace(b"vertex 3", b"vertex"), "needs a name and a count"),
         (GOOD.replace(b"float x", b"flot x"), "line 4: unknown type 'flot' of property 'x'"),
         (GOOD.replace(b"end_header", FACE.replace(b"uchar", b"byte")), "unknown type 'byte'"),
-        (GOOD.replace(b"end_header", FACE.replace(b"list uchar int", b"list uchar in")), "type 'in'"),
+        (GOOD.replace(b"end_header", FACE.replace(b" int", b" in")), "unknown type 'in'"),
         (GOOD.replace(b"float x", b"float y"), "line 5: a second property 'y'"),
         (GOOD.replace(b"float x", b"float"), "needs a type and a name"),
         (GOOD.replace(b"end_header", b"element vertex 1\nend_header"), "second element 'vertex'"),

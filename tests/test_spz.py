@@ -18,6 +18,7 @@ from conftest import scene_path
 from damage import mutate, outcome
 from launch import run
 from nanogs import io
+from nanogs.activations import rotations
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.precision import Precision
@@ -548,6 +549,17 @@ def test_invisible_and_opaque_splats_stay_so_with_fewer_bits(tmp_path, bits):
     assert np.bincount(alphas[:, 0], minlength=256)[[0, 255]].tolist() == [200, 100]
 
 
+@pytest.mark.parametrize("bits", range(4, 9))
+def test_the_ends_of_a_range_are_exact_with_any_number_of_bits(tmp_path, bits):
+    model = random_splats(6, degree=0)
+    model.sh[:, 0] = np.repeat([[-9], [9]], 3, axis=0)
+    model.log_scales[:] = [[-50, 0, 50]] * 6
+    io.save(model, tmp_path / "a.spz", format_options={"bits": bits, "spz_version": 2})
+    found = io.load(tmp_path / "a.spz")
+    assert sorted(found.sh.ravel()) == pytest.approx([-0.5 / 0.15] * 9 + [0.5 / 0.15] * 9)
+    assert np.sort(found.log_scales)[:, [0, 2]].tolist() == [[-10, 5.9375]] * 6
+
+
 def test_an_alpha_of_one_half_rounds_up(tmp_path):
     model = replace(random_splats(10), opacity_logits=np.zeros(10, np.float32))
     io.save(model, tmp_path / "a.spz")
@@ -574,6 +586,28 @@ def test_rotations_of_other_versions_are_rounded_too(tmp_path, version):
     assert sizes == sorted(sizes, reverse=True)
 
 
+@pytest.mark.parametrize("version", WRITTEN)
+@pytest.mark.parametrize("bits", range(4, 9))
+def test_quarter_turns_stay_quarter_turns(tmp_path, bits, version):
+    """Two components are equally large, and the one that is stored needs the highest code."""
+    pairs = [(i, j, sign) for i in range(4) for j in range(i) for sign in (1, -1)]
+    quats = np.zeros((len(pairs), 4), np.float32)
+    for number, (i, j, sign) in enumerate(pairs):
+        quats[number, [i, j]] = 1, sign
+    model = replace(random_splats(len(pairs), degree=0), quats=quats)
+    model.log_scales[:] = -2, -4, -6
+    model.means[:, 0] = np.arange(len(pairs))
+    io.save(model, tmp_path / "a.spz", format_options={"bits": bits, "spz_version": version})
+    found = io.load(tmp_path / "a.spz")
+    found = found.take(np.argsort(found.means[:, 0]))
+    assert covariances(found) == pytest.approx(covariances(model), abs=0.1 * np.exp(-4))
+
+
+def covariances(model):
+    axes = rotations(model.unit_quats().astype(np.float64)) * model.scales()[:, None, :]
+    return axes @ axes.transpose(0, 2, 1)
+
+
 @pytest.mark.parametrize("version", [3, 4])
 def test_rotations_that_were_read_are_written_with_the_same_bytes(tmp_path, version):
     """Though rounding can make another component the largest, and a component 0 with a sign."""
@@ -583,6 +617,23 @@ def test_rotations_that_were_read_are_written_with_the_same_bytes(tmp_path, vers
     once = round_trip(model, tmp_path / "a.spz", version)
     round_trip(once, tmp_path / "b.spz", version)
     assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "b.spz").read_bytes()
+
+
+def test_half_turns_of_any_length_are_written_as_unit_rotations(tmp_path):
+    """Only those that were read, with w = 0 and a length that three bytes can have, stay as is."""
+    rng = np.random.default_rng(0)
+    quats = np.column_stack([np.zeros(400), rng.normal(size=(400, 3))])
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    lengths = np.repeat([1 - 5e-3, 1 + 5e-3, 0.1, 3], 100)[:, None]
+    # Each component is a code of the file, or next to none, but the length is not near 1.
+    quats[-1], quats[-2], lengths[-2:] = (0, 1, 1, 1), (0, 1, -1, -1), 1
+    model = replace(random_splats(400, degree=0), quats=(quats * lengths).astype(np.float32))
+    quats[-2:] /= np.sqrt(3)
+    read = [
+        round_trip(replace(model, quats=given.astype(np.float32)), tmp_path / "a.spz", 2)
+        for given in (quats, model.quats)
+    ]
+    assert_same(*read)
 
 
 def test_rows_are_sorted_only_if_values_are_rounded(tmp_path):
@@ -626,6 +677,7 @@ def test_a_source_gives_the_bytes_of_the_model(tmp_path, version):
 @pytest.mark.parametrize("options", [{"bits": 5}, {"palette": 2}])
 def test_rows_keep_their_order_if_a_record_may_refer_to_them(tmp_path, options):
     original = random_splats(4, degree=1)
+    original.sh[2:] = original.sh[:2]  # a palette of two entries: every second splat has the same
     for records, moved in ((SHARES, False), (UNKNOWN, True)):
         model = io.load(with_records(tmp_path, records))
         model = replace(original, elements=model.elements)
@@ -749,6 +801,26 @@ def test_losses_are_counted(tmp_path):
     )
     clamped = round_trip(model, tmp_path / "a.spz")
     assert clamped.log_scales[1].tolist() == [-10, -10, 5.9375]
+
+
+def test_values_that_are_rounded_to_the_ends_of_a_range_are_not_called_clamped():
+    model = random_splats(3, degree=1)
+    model.log_scales[:] = [[-10.03, 0, 5.96]] * 3  # half a step is 1/32
+    model.sh[:] = np.array([0, -1 - 3.9 / 128, 127 / 128 + 3.9 / 128, 0])[:, None]
+    assert spz_write.losses(model) == ()
+    model.log_scales[:2] = [[-10.04, 0, 0], [0, 5.98, 0]]
+    model.sh[1, 1, 0], model.sh[2, 2, 0] = -1 - 4.1 / 128, 127 / 128 + 4.1 / 128
+    scales, harmonics = map(str, spz_write.losses(model))
+    assert scales.startswith("2 splats have log-scales outside")
+    assert harmonics.startswith("2 splats have higher SH coefficients outside")
+
+
+def test_a_model_with_an_infinite_centre_is_refused_for_that_alone(tmp_path):
+    model = random_splats(3, degree=0)
+    model.means[1, 2] = np.inf
+    assert io.losses(model, tmp_path / "a.spz") == (
+        "1 splat holds NaN or infinite values, .spz refuses the model.",
+    )
 
 
 # --- damage
