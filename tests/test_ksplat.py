@@ -60,6 +60,7 @@ def test_all_modes_and_degrees_are_read(load, tmp_path, mode, degree):
 @pytest.mark.parametrize("mode", range(3))
 def test_sections_follow_each_other_and_empty_rows_are_skipped(load, mode):
     parts = [section(n, mode, 1, seed=n, spare=spare) for n, spare in ((9, 2), (0, 0), (5, 0))]
+    parts[1] = section(0, mode, 2)  # the degree of no splats
     again = load(ksplat(*parts, mode=mode))
     for part, rows in ((parts[0][2], slice(0, 9)), (parts[2][2], slice(9, 14))):
         assert_close(part, again.take(np.arange(14)[rows]), mode)
@@ -86,6 +87,15 @@ def test_extreme_alpha_and_scale_are_infinite_and_negative_scale_is_noted(load):
     assert again.notes == ("1 splat has a negative scale, which became NaN.",)
 
 
+def test_negative_scales_of_all_blocks_are_counted(load, monkeypatch):
+    monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 2)
+    header, body, model = section(5, 0, 0)
+    rows = np.frombuffer(bytearray(body), np.uint8).reshape(5, 44)
+    rows[:3, 12:16] = list(struct.pack("<f", -1))
+    again = load(ksplat((header, rows.tobytes(), model)))
+    assert again.notes == ("3 splats have a negative scale, which became NaN.",)
+
+
 def test_ranges_of_zero_mean_the_defaults(load):
     changed = section(6, 2, 1, changes={24: ("<I", 0)})
     expected = section(6, 2, 1)
@@ -107,6 +117,7 @@ REFUSED = {
     "cut": (lambda: ksplat(section(3, 0, 0))[:-1], "cut short: section 0"),
     "no section headers": (lambda: ksplat(section(3, 0, 0))[:5000], "section headers do not fit"),
     "no sections": (ksplat, "damaged or empty"),
+    "older version": (lambda: ksplat(section(3, 0, 0), version=(0, 0)), "not 0.0"),
     "version": (lambda: ksplat(section(3, 0, 0), version=(1, 0)), "not 1.0"),
     "mode": (lambda: ksplat(section(3, 0, 0), mode=3), "mode 3"),
     "count": (lambda: ksplat(section(3, 0, 0), count=4), "counts 4 splats"),

@@ -117,6 +117,7 @@ def changed(**tables):
 FAR = [1e30, 1e30, 1e30]
 REFUSED = {
     "version": (changed(version=3), "has version '3'; nanogs reads 1 and 2"),
+    "version true": (changed(version=True), "has version 'True'"),
     "no count": (changed(count=None), "count must be an integer from 1"),
     "no splats": (changed(count=0), "count must be an integer from 1"),
     "half a splat": (changed(count=1.5), "count must be an integer"),
@@ -206,6 +207,26 @@ def test_labels_beyond_the_palette_are_refused(tmp_path):
     shn = {"count": 2, "bands": 1, "codebook": sogfiles.RAMP, "files": names}
     with pytest.raises(FormatError, match="beyond the palette's 2"):
         load(tmp_path, sogfiles.meta(shN=shn), **sogfiles.palette(1, 2))
+
+
+@pytest.mark.parametrize("entries", [256, 257, 1 << 16])
+def test_a_texture_of_the_palette_has_room_for_its_entries(tmp_path, entries):
+    names = ["shN_centroids.webp", "shN_labels.webp"]
+    shn = {"count": entries, "bands": 1, "codebook": sogfiles.RAMP, "files": names}
+    textures = sogfiles.palette(1, 3)  # of four rows of 64 entries
+    if entries == 256:
+        assert load(tmp_path, sogfiles.meta(shN=shn), **textures).sh_degree == 1
+        return
+    with pytest.raises(FormatError, match="has 192 x 4 texels, which do not fit the model"):
+        load(tmp_path, sogfiles.meta(shN=shn), **textures)
+
+
+def test_a_texture_of_the_palette_beyond_the_largest_label_is_refused(tmp_path):
+    names = ["shN_centroids.webp", "shN_labels.webp"]
+    shn = {"count": 3, "bands": 1, "codebook": sogfiles.RAMP, "files": names}
+    textures = sogfiles.palette(1, 3) | {"shN_centroids.webp": bomb(192, 1025)}
+    with pytest.raises(FormatError, match="has 192 x 1025 texels, which do not fit the model"):
+        load(tmp_path, sogfiles.meta(shN=shn), **textures)
 
 
 def test_zip_entries_are_checked(tmp_path):

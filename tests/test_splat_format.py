@@ -57,6 +57,20 @@ def test_negative_scale_is_noted(load):
     assert model.notes == ("1 splat has a negative scale, which became NaN.",)
 
 
+def test_negative_scales_of_all_blocks_are_counted(load, monkeypatch):
+    monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 3)
+    data = row(scale=(1, -1, 1)) * 4 + row() * 4
+    assert load(data).notes == ("4 splats have a negative scale, which became NaN.",)
+
+
+def test_a_coordinate_may_begin_like_a_gzip_file(load):
+    """Only the flags of gzip, of which the upper three bits are zero, tell the two apart."""
+    [x] = struct.unpack("<f", b"\x1f\x8b\x08\x3f")
+    assert load(row(mean=(x, 0, 0))).means[0, 0] == np.float32(x)
+    with pytest.raises(FormatError, match="begins like a file of another format"):
+        load(row(mean=struct.unpack("<3f", b"\x1f\x8b\x08\x00" + b"\0" * 8)))
+
+
 def test_a_file_read_in_blocks_gives_the_same_model(load, monkeypatch):
     data = b"".join(row(mean=(i, 0, 0)) for i in range(20))
     monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 3)
@@ -121,6 +135,16 @@ def test_unit_quaternions_keep_their_bytes(load, saved, tmp_path, quats):
     assert np.abs(dots).min() > 0.999
 
 
+@pytest.mark.parametrize("length", [0.3, 1.5, 100])
+def test_the_length_of_a_quaternion_does_not_matter(saved, length):
+    """Nor where bytes that are cut off at 1 would make it nearly a unit one."""
+    model = random_splats(40, degree=0)
+    model.quats[:] = model.unit_quats()
+    model.quats[:20, 1:] *= 0.05
+    model.quats[:] = model.unit_quats()
+    assert saved(replace(model, quats=length * model.quats)) == saved(model)
+
+
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(model=splats(max_degree=0, extras=False))
 def test_round_trip_within_half_a_step(tmp_path, model):
@@ -157,7 +181,7 @@ def test_losses_are_reported(tmp_path):
         "Centres in double precision are rounded, .splat holds single.",
     )
     plain = random_splats(3, degree=0)
-    plain.sh[:] = 0
+    plain.sh[:] = [[[-1.003 / 2 / C0, 0, 1.003 / 2 / C0]]]  # rounded to bytes 0 and 255
     assert io.losses(plain, tmp_path / "a.splat") == ()
 
 

@@ -18,7 +18,6 @@ from conftest import scene_path
 from damage import mutate, outcome
 from launch import run
 from nanogs import io
-from nanogs.activations import rotations
 from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.io import registry
 from nanogs.io.precision import Precision
@@ -584,28 +583,6 @@ def test_rotations_of_other_versions_are_rounded_too(tmp_path, version):
         step = spz_write.STEPS[bits].magnitudes * math.sqrt(0.5) / 511
         assert step < turned < (2.5 if bits < 8 else 4) * step
     assert sizes == sorted(sizes, reverse=True)
-
-
-@pytest.mark.parametrize("version", WRITTEN)
-@pytest.mark.parametrize("bits", range(4, 9))
-def test_quarter_turns_stay_quarter_turns(tmp_path, bits, version):
-    """Two components are equally large, and the one that is stored needs the highest code."""
-    pairs = [(i, j, sign) for i in range(4) for j in range(i) for sign in (1, -1)]
-    quats = np.zeros((len(pairs), 4), np.float32)
-    for number, (i, j, sign) in enumerate(pairs):
-        quats[number, [i, j]] = 1, sign
-    model = replace(random_splats(len(pairs), degree=0), quats=quats)
-    model.log_scales[:] = -2, -4, -6
-    model.means[:, 0] = np.arange(len(pairs))
-    io.save(model, tmp_path / "a.spz", format_options={"bits": bits, "spz_version": version})
-    found = io.load(tmp_path / "a.spz")
-    found = found.take(np.argsort(found.means[:, 0]))
-    assert covariances(found) == pytest.approx(covariances(model), abs=0.1 * np.exp(-4))
-
-
-def covariances(model):
-    axes = rotations(model.unit_quats().astype(np.float64)) * model.scales()[:, None, :]
-    return axes @ axes.transpose(0, 2, 1)
 
 
 @pytest.mark.parametrize("version", [3, 4])
