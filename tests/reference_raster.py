@@ -27,7 +27,7 @@ def sh_basis(direction, degree):
 def splat_on_screen(splats, camera, i):
     """Compute (depth, centre, covariance, opacity, colour) of a splat; None if it is culled."""
     rotation = camera.world_to_camera[:3, :3]
-    offset = splats.means[i].astype(np.float64) - camera.position
+    offset = splats.means[i].astype(np.float64) - np.linalg.inv(camera.world_to_camera)[:3, 3]
     x, y, z = rotation @ offset
     if not z > camera.near:
         return None

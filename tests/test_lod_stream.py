@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import nanogs
@@ -29,7 +29,7 @@ from nanogs.lod import streamed_sog
 from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import LEAF, divide
 from nanogs.lod.folder import LevelsFolder, made_files
-from nanogs.lod.layout import LodLayout, output_of
+from nanogs.lod.layout import LodLayout, chunks_of, output_of
 from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.threads import most_threads, use_threads
 from supersplat_page import render_in_supersplat
@@ -37,6 +37,7 @@ from test_cli import assert_refused
 from test_sog_write import angle, in_order_of
 
 RATIOS = (0.5, 0.1, 0.02)
+FLOAT_MAX = float(str(np.finfo(np.float32).max))
 CHUNK = 60
 
 
@@ -174,11 +175,27 @@ def test_files_stay_between_the_minimum_and_the_maximum(counts, least):
 
 
 @given(counts=st.lists(st.integers(0, 100), min_size=1, max_size=60), least=st.integers(1, 10))
+@example(counts=[5, 40], least=10)  # too much for one file, and too little for two
 def test_files_reach_the_minimum_beside_cells_that_are_too_large(counts, least):
     runs = streamed_sog._runs(np.array(counts), 40, least)
     held = [sum(counts[first:end]) for first, end in runs]
     assert sum(held) == sum(counts)
     assert min(held, default=least) >= min(least, sum(counts))
+
+
+def test_boxes_are_rounded_outwards_and_hardly_further():
+    rng = np.random.default_rng(0)
+    box = rng.normal(size=(2, 1000)) * 10.0 ** rng.integers(-50, 38, (2, 1000))
+    box[:, :100] = box[:, :100].astype(np.float32)  # not rounded at all
+    low, high = (np.float32(streamed_sog._bound(box)[end]) for end in ("min", "max"))
+    step = np.spacing(np.abs(box).astype(np.float32)) * np.float64(2)
+    assert (low <= box[0]).all()
+    assert (low >= box[0] - step[0]).all()
+    assert (high >= box[1]).all()
+    assert (high <= box[1] + step[1]).all()
+    assert (low[:100] == box[0, :100]).all()
+    far = streamed_sog._bound(np.array([[-1e300, -np.inf], [1e300, np.inf]]))
+    assert far == {"min": [-FLOAT_MAX] * 2, "max": [FLOAT_MAX] * 2}
 
 
 @given(points=clouds(), others=clouds(), most=st.integers(1, 70))
@@ -466,10 +483,14 @@ def test_the_command_reports_and_plans_in_json(scene, tmp_path):
     [
         ("out/levels.json", [], ["lod-meta.json or tileset.json", "out/lod-meta.json"]),
         ("out/web.json", [], ["lod-meta.json or tileset.json", "out/web/lod-meta.json"]),
-        ("out/meta.json", [], ["lod-meta.json or tileset.json"]),
+        ("out/meta.json", [], ["lod-meta.json or tileset.json", "out/lod-meta.json"]),
+        ("out.rad", ["--chunk", "100"], [".rad", "65,536"]),
+        ("out.rad", ["--chunk-min", "100"], [".rad", "65,536"]),
         ("out", ["--chunk", "100"], ["chunks", ".ssog", "not divided"]),
         ("out", ["--chunk-min", "100"], ["chunks", ".ssog", "not divided"]),
         ("out/lod-meta.json", ["--chunk-min", "20000"], ["20,000 to 32,768", "at most half"]),
+        ("out/lod-meta.json", ["--chunk", "10", "--chunk-min", "6"], ["6 to 10", "at most half"]),
+        ("out/lod-meta.json", ["--chunk", "2147483648"], ["at most 2,147,483,647"]),
         ("out/lod-meta.json", ["--chunk-min", "0"], ["at least 1", "0"]),
         ("out/lod-meta.json", ["--chunk", "0"], ["at least 1", "0"]),
         ("out/lod-meta.json", ["--plain"], ["3D Tiles"]),
@@ -479,6 +500,12 @@ def test_the_command_reports_and_plans_in_json(scene, tmp_path):
 def test_wrong_names_and_options_are_refused(scene, tmp_path, name, options, fragments):
     assert_refused(run("lod", scene, tmp_path / name, *options), *fragments)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("chunk", "least"), [(1, None), (3, None), (7, 4), (9, 5)])
+def test_any_size_of_chunks_is_possible(chunk, least):
+    layout = chunks_of(LodLayout.SOG, chunk, least, plain=False)
+    assert (layout.most, layout.least) == (chunk, least or 1)
 
 
 def test_the_output_name_determines_the_layout():

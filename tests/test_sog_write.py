@@ -472,6 +472,28 @@ def test_sh_bits_set_the_precision_of_the_palette(tmp_path):
         io.save(model, tmp_path / "a.sog", overwrite=True, format_options={"sh_bits": 9})
 
 
+@pytest.mark.parametrize(
+    ("sets", "finer"),
+    [
+        (600, True),  # each splat has its own
+        (300, False),  # the palette is full, so its entries may be means
+        (299, True),  # there was room for one more
+        (301, False),  # one set had to be merged
+    ],
+)
+def test_harmonics_that_may_be_means_are_stored_with_a_bit_less(tmp_path, sets, finer):
+    model, entries = random_model(600), 600 if sets == 600 else 300
+    model.sh[:, 1:] = np.resize(model.sh[:sets, 1:], model.sh[:, 1:].shape)
+    found = saved(tmp_path, model, palette=entries)
+    assert (len(np.unique(found.sh[:, 1:])) > 32) is finer
+    # Values of a codebook are no means, and stay what they are.
+    book = np.linspace(-1, 1, 50, dtype=np.float32)
+    model.sh[:, 1:] = book[np.abs(model.sh[:, 1:, :, None] - book).argmin(axis=-1)]
+    if sets <= 300:
+        found = saved(tmp_path, model, palette=entries)
+        assert np.array_equal(np.unique(found.sh[:, 1:]), book)
+
+
 @pytest.mark.parametrize("bits", [3, 9])
 def test_bits_beyond_the_format_are_refused(tmp_path, bits):
     with pytest.raises(OptionError, match="`bits` must be a whole number from 4 to 8"):
