@@ -209,7 +209,9 @@ def test_a_picture_size_is_one_number_or_width_x_height(text, size):
     assert parse_pixels(text) == size
 
 
-@pytest.mark.parametrize("text", ["", "0", "12x", "x12", "-5", "99999", "1.5", "a"])
+@pytest.mark.parametrize(
+    "text", ["", "0", "12x", "x12", "0x9", "9x0", "-5", "99999", "9x16385", "16385x9", "1.5", "a"]
+)
 def test_invalid_picture_sizes_are_refused(text):
     with pytest.raises(OptionError):
         parse_pixels(text)
@@ -222,7 +224,7 @@ def test_backgrounds_and_directions_are_parsed_or_refused():
     for bad in ("whit", "#12", "#gggggg"):
         with pytest.raises(OptionError):
             parse_background(bad)
-    for bad in ("1,2", "a,b,c", "0,0,0"):
+    for bad in ("1,2", "a,b,c", "0,0,0", "0,inf,0", "nan,0,1", "inf,-inf,0"):
         with pytest.raises(OptionError):
             parse_direction(bad)
 

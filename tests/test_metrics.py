@@ -109,7 +109,7 @@ def test_ssim_refuses_images_below_its_window():
 
 
 @pytest.mark.parametrize("metric", [psnr, ssim])
-@pytest.mark.parametrize("data_range", [0.0, -1.0, math.nan])
+@pytest.mark.parametrize("data_range", [0.0, -1.0, math.nan, math.inf])
 def test_data_range_must_be_positive(metric, data_range):
     with pytest.raises(OptionError, match="data_range"):
         metric(IMAGE, NOISY, data_range)

@@ -84,6 +84,27 @@ def test_wrong_counts_are_refused(text):
         options.parse_count(text)
 
 
+def test_too_little_memory_is_refused_with_the_likely_remedy():
+    assert options.parse_memory("1MB") == 10**6
+    for text, remedy in (("4", "name the unit too"), ("4kB", "allow more")):
+        with pytest.raises(OptionError, match=f"too little for any model; {remedy}, as in"):
+            options.parse_memory(text)
+
+
+def test_models_can_be_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "c=d.ply").touch()
+    url = "https://a.org/b.ply"
+    given = ["ours=a.ply", "=a.ply", "c=d.ply", f"{url}?key=1", f"theirs={url}"]
+    names, paths = zip(*options.parse_named(given), strict=True)
+    assert names == ("ours", "=a.ply", "c=d.ply", "b.ply", "theirs")
+    assert list(map(str, paths)) == ["a.ply", "=a.ply", "c=d.ply", url, url]
+
+
+def test_formats_are_completed_with_and_without_their_dot():
+    assert options.complete_format(".sp") == options.complete_format("sp") == ["splat", "spz"]
+
+
 def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path):
     for number, target in enumerate((("-r", "10%"), ("--count", "0.2k"))):
         small = tmp_path / f"{number}.ply"
