@@ -18,7 +18,7 @@ from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.method import forest as growth
 from nanogs.method import parameters, reassign
 from nanogs.method.choose import quality
-from nanogs.method.cut import cut, merge_scores
+from nanogs.method.cut import cut, label_groups, merge_scores
 from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.growth import blocked, effective_counts
 from nanogs.method.match import MergePlan
@@ -321,6 +321,22 @@ def test_scores_have_the_values_computed_by_hand():
     assert merge_scores(forest, 0.25) == pytest.approx([0.25, 0.75, 1.75])
     assert cut(forest, 3, 1.0).tolist() == [0, 0, 1, 2]
     assert cut(small_forest([(5, 0), (1, 0), (2, 0)]), 3, 1.0).tolist() == [0, 1, 2, 2]
+
+
+def test_scores_of_several_forests_are_relative_to_the_same_error():
+    """The forests of blocks are cut at one score, so they must not be divided by own medians."""
+    found = [
+        merge_scores(small_forest([(factor, 0), (4 * factor, 0), (0, 0)]), 0.5, 2.0)
+        for factor in (1.0, 8.0)
+    ]
+    assert found[0] == pytest.approx(np.array([1, 1, 2]) / 2 + np.log2([1 / 2, 2, 5 / 2]) / 2)
+    assert found[1] - found[0] == pytest.approx(np.full(3, 1.5))
+
+
+def test_merges_of_equal_scores_are_done_in_order_so_none_without_those_below_it():
+    chain = np.array([[0, 1], [4, 2], [5, 3]], np.int32)
+    for target, labels in ((4, [0, 1, 2, 3]), (3, [0, 0, 1, 2]), (2, [0, 0, 0, 1]), (1, [0] * 4)):
+        assert label_groups(4, chain, np.zeros(3), target).tolist() == labels
 
 
 def test_scores_keep_the_order_of_errors_if_most_errors_are_zero():

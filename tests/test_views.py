@@ -96,6 +96,14 @@ def test_an_object_is_seen_from_near_and_far_for_any_image_shape(size):
     assert max(filled) > 1.2, "some are near"
 
 
+@pytest.mark.parametrize("kind", ["orbit", "inside"])
+@pytest.mark.parametrize("size", [(240, 120), (120, 240), (240, 240)])
+def test_the_field_of_view_is_that_along_the_longer_side(kind, size):
+    width, height = size
+    [camera] = automatic_cameras(SCENE, 1, kind=kind, fov=60, width=width, height=height)
+    assert camera.fx == camera.fy == pytest.approx(120 / np.tan(np.radians(30)))
+
+
 def test_the_ground_around_an_object_is_seen_and_hardly_from_below():
     rng = np.random.default_rng(0)
     ground = rng.uniform(-1, 1, (6_000, 3)) * (3.0, 0.01, 3.0)
