@@ -356,6 +356,28 @@ def test_the_search_stays_between_the_lowest_count_and_the_whole_model():
     assert (alone.probes, alone.stop) == ((), StopReason.UNREACHED)
 
 
+def test_a_search_without_any_count_that_reaches_has_not_found_one():
+    """The PSNR stays a little below what is asked, so that counts grow in small steps."""
+    found = search_count(lambda count: 29.999, 30.0, 1, 10**9, 10)
+    assert len(found.probes) == MOST_PROBES
+    assert (found.count, found.stop) == (10**9, StopReason.UNREACHED)
+
+
+@pytest.mark.parametrize(("guess", "slope"), [(10_000, 3.0), (700, 10.0)])
+def test_a_search_follows_the_slope_that_it_has_measured(guess, slope):
+    """It comes down from nearly all splats without trying all, and leaves a wrong first slope."""
+    probes = []
+
+    def psnr_of(count):
+        probes.append(count)
+        return 30 + 4 * math.log(count / 8000)
+
+    found = search_count(psnr_of, 30.0, 1, 10_000, guess, slope)
+    assert found.stop is StopReason.TARGET
+    assert found.count == pytest.approx(8000, rel=0.08)
+    assert len(probes) <= 4
+
+
 class CountedResults:
     """Results of a model of 1,000 splats; a result is its count."""
 

@@ -126,10 +126,9 @@ def _below_step(
     return found
 
 
-def _is_step(misses: ProbeReport, reaches: ProbeReport, asked: float) -> bool:
-    """Whether the PSNR rises over the whole span between neighbouring counts."""
-    near = reaches.count <= max((1 + TOLERANCE) * misses.count, misses.count + 1)
-    return near and reaches.psnr > asked + NEAR_DB
+def _are_neighbours(misses: ProbeReport, reaches: ProbeReport) -> bool:
+    """Whether no count between the two is tried."""
+    return reaches.count <= max((1 + TOLERANCE) * misses.count, misses.count + 1)
 
 
 def _ending(
@@ -138,8 +137,8 @@ def _ending(
     """Return why the search ends, or None if it continues."""
     if reaches and reaches.psnr <= asked + NEAR_DB:
         return StopReason.TARGET
-    if reaches and (reaches.count == fewest or (misses and _is_step(misses, reaches, asked))):
-        return StopReason.STEP
+    if reaches and (reaches.count == fewest or (misses and _are_neighbours(misses, reaches))):
+        return StopReason.STEP  # the PSNR rises over the whole span between the two
     if misses and misses.count == most:
         return StopReason.UNREACHED
     if tried < MOST_PROBES:
@@ -167,9 +166,7 @@ def _beyond(probes: list[ProbeReport], asked: float, most: int, slope: float | N
     lack = asked + NEAR_DB / 2 - latest.psnr
     step = min(max(lack / slope, -LEAP), LEAP)
     count = round(latest.count * math.exp(step))
-    if step > 0 and count > FAR * most:
-        return most
-    return count + (1 if step > 0 else -1) if count == latest.count else count
+    return most if step > 0 and count > FAR * most else count
 
 
 def _slope(probes: "list[ProbeReport] | tuple[ProbeReport, ...]") -> float:
