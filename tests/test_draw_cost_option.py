@@ -77,6 +77,18 @@ def test_the_search_ends_at_or_below_the_requested_share(
         assert found.count == max(fitting)
 
 
+def test_a_model_that_cannot_be_merged_is_tried_whole():
+    counts = []
+    with pytest.raises(TooSmallError, match="7 splats, the fewest"):
+        search_share(lambda count: counts.append(count) or 1.0, 0.5, 7, 7, 3)
+    assert counts == [7]
+
+
+def test_a_quick_search_accepts_a_share_just_above_the_one_asked_for():
+    found = search_share(lambda _count: 0.505, 0.5, 1, 1000, 100, quick=True)
+    assert [(probe.count, probe.quick) for probe in found.probes] == [(100, True)]
+
+
 def test_a_step_in_the_cost_is_reported_as_the_stop_reason():
     def share(count):
         return 0.2 if count < 700 else 0.9

@@ -297,6 +297,32 @@ def test_trees_of_any_size_have_the_model_as_leaves(count, seed):
         assert (means[row] <= below.max(axis=0) + 1e-5).all()
 
 
+def test_a_parent_can_spare_all_its_children_but_the_nearest():
+    fine, coarse = np.zeros((6, 3)), np.zeros((3, 3))
+    fine[:, 0], coarse[:, 0] = [0.5, -0.1, 2, 10.3, 10.2, 19], [0, 10, 20]
+    assert links._spare(np.array([0, 0, 0, 1, 1, 2]), fine, coarse).tolist() == [0, 2, 3]
+
+
+def test_parents_are_the_likeliest_by_place_size_and_colour():
+    """Against the densities by their definition; all coarse splats are candidates."""
+    rng = np.random.default_rng(0)
+    fine, coarse = random_splats(600, degree=0, seed=1), random_splats(8, degree=0, seed=2)
+    fine.sh[:] = coarse.sh[rng.integers(8, size=600)] + rng.normal(0, 0.4, fine.sh.shape)
+    shapes = [links.shapes_of(InMemory(each)) for each in (fine, coarse)]
+    symmetric = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]
+    spreads = [each.covariances[:, symmetric] for each in shapes]
+    expected = []
+    for mean, spread, colour in zip(shapes[0].means, spreads[0], shapes[0].colours, strict=True):
+        blurred = spread + spreads[1]
+        deltas = mean - shapes[1].means
+        far = np.einsum("mi,mij,mj->m", deltas, np.linalg.inv(blurred), deltas)
+        tints = ((colour - shapes[1].colours).astype(np.float64) ** 2).sum(axis=1)
+        unlikely = far + np.linalg.slogdet(blurred)[1] + tints / 0.15**2
+        expected.append(unlikely.argmin())
+    assert len(set(expected)) == 8  # no childless one, which would be given a child
+    assert links.parents_of(*shapes).tolist() == expected
+
+
 @given(st.integers(1, 40), st.integers(0, 40), st.booleans())
 def test_childless_parents_in_one_place_get_one_child_each(few, more, apart):
     """All parents are at one place, `apart` from all children, and the last has every child."""
