@@ -321,6 +321,25 @@ def test_every_group_keeps_at_least_one_member(groups, more, seed):
         assert (moved == after).all()
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "weights", "expected"),
+    [
+        # An empty group takes back its heaviest former member.
+        ([0, 0, 1, 2, 2], [1, 1, 1, 2, 2], [1, 5, 9, 3, 4], [1, 0, 1, 2, 2]),
+        # But not the last one of another group: then the heaviest that can be spared.
+        ([0, 1, 2, 2, 2], [1, 3, 2, 2, 2], [9, 1, 2, 3, 4], [1, 3, 2, 2, 0]),
+        # What the first empty group takes, the second cannot take as well.
+        ([0, 1, 2], [2, 2, 3], [5, 4, 3], [0, 2, 1]),
+    ],
+)
+def test_empty_groups_are_refilled_with_the_heaviest_that_can_be_spared(
+    before, after, weights, expected
+):
+    moved = np.array(after, np.int32)
+    keep_every_group(moved, np.array(before, np.int32), np.array(weights, float), 3)
+    assert moved.tolist() == expected
+
+
 def test_settings_survive_json():
     filtered = FilterCounts((("box", (0.1, 1 / 3)), ("opacity", (0.5,))), (60, 40), (30, 10))
     job = settings(50, [30, 40], counts=(7,), ratios=(), filters=filtered, frame=("rub", "rdf"))
