@@ -38,6 +38,7 @@ from nanogs.raster.rendering import concatenated, prepare, render
 from nanogs.source import Layout
 from nanogs.splats import concatenate
 from nanogs.views.automatic import automatic_cameras
+from test_raster import make_camera
 
 COUNT = 1500
 WITH_VIEWS = {"preset": "default", "views": 6, "view_size": 96, "steps": 6}
@@ -510,3 +511,20 @@ def test_a_search_plans_disk_space_for_the_scores_of_plain_cuts():
         for each in (False, True)
     )
     assert searched.scratch - given.scratch == 4 * 10**6 + given.blocks * (8 << 16)
+
+
+def test_the_views_that_show_a_block_best_decide_and_the_others_are_fitted_to():
+    cameras = [make_camera(name=str(number)) for number in range(8)]
+    light = [20.0, 60.0, 15.9, 30.0, 50.0, 99.0, 40.0, 16.0]
+    kept = [None if number == 5 else camera for number, camera in enumerate(cameras)]
+    found = fitting._divided(kept, [None, cameras[5]], light)
+    shown = {"0", "1", "3", "4", "6", "7"}  # not 2, which hardly does, nor 5
+    deciding, fitted = (
+        [camera.name for camera in each] for each in (found.deciding, found.fitting)
+    )
+    assert len(deciding) == deciding_count(6)
+    assert set(deciding) <= {"1", "4", "6"}
+    assert set(fitted) == shown - set(deciding)
+    assert [camera.name for camera in found.further] == ["5"]
+    alone = fitting._divided(cameras[:2], [cameras[5]], [16.0, 15.0])
+    assert (alone.deciding, alone.fitting, alone.further) == ([], [], [])

@@ -1,7 +1,7 @@
 """Random requests for a size, and cases that once failed."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,13 @@ from nanogs.io import encoded_bytes, registry
 from nanogs.pipeline.files import limit_degree
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
-from nanogs.pipeline.search.file_size import MOST_PROBES, FittedSize, search_fit
+from nanogs.pipeline.search.file_size import (
+    MOST_PROBES,
+    FittedSize,
+    little_used,
+    search_fit,
+    with_ending_on_known,
+)
 from nanogs.report import SizeProbeReport, StopReason
 from nanogs.views.opening import opening_for
 from random_requests import FEW_VIEWS, Request, random_request, run_and_check
@@ -323,3 +329,36 @@ def test_a_dry_run_in_blocks_applies_the_sh_degree(tmp_path):
         <= 3000
         < file_bytes(without_harmonics, plan["asked_count"] + 1)
     )
+
+
+def test_the_overhead_of_every_file_does_not_count_as_used():
+    over = SizeProbeReport(11, 1040)
+    assert little_used(1000, 990, over, around=500) == ()
+    [note] = little_used(1000, 989, over, around=500)
+    assert note.endswith("because a file of 11 splats takes 1,040 B.")
+    [note] = little_used(1000, 989, None, around=500)
+    assert note.endswith("because no larger one was found in the allowed number of tries.")
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What is read and changed of a result or a report."""
+
+    stop: StopReason
+    notes: tuple[str, ...] = ()
+
+
+@pytest.mark.parametrize(
+    ("stop", "each", "expected"),
+    [
+        (StopReason.TARGET, 400, StopReason.STEP),  # 1,200 of 1,500 B, and one more is too large
+        (StopReason.NO_CANDIDATES, 400, StopReason.NO_CANDIDATES),
+        (StopReason.TARGET, 495, StopReason.TARGET),  # 1,485 B
+    ],
+)
+def test_a_size_that_jumps_is_the_reason_unless_something_else_ended_the_work(stop, each, expected):
+    found = with_ending_on_known(
+        Ended(stop), 1500, 3, 10, lambda count: each * count, left_out=False
+    )
+    assert found.stop is expected
+    assert len(found.notes) == (each == 400)
