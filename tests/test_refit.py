@@ -14,9 +14,10 @@ from builders import cloud_pair, model_bytes
 from conftest import peer_path, scene_path
 from nanogs import RefitParameters, refit
 from nanogs.errors import ModelError, OptionError, OutputError
-from nanogs.fit.descent import Descent
+from nanogs.fit.descent import Descent, _bands
 from nanogs.fit.groups import EXACT, ViewGroup, grouped, hold_out, split
 from nanogs.fit.report import RefitStop
+from nanogs.fit.rounds import Validator, _line_search, _round
 from nanogs.fit.shared import fit_shared
 from nanogs.fit.state import (
     LOWEST_LOG_SCALE,
@@ -504,6 +505,91 @@ def test_a_perfect_model_is_returned_unchanged():
     assert report.notes
 
 
+def test_no_group_of_views_may_become_worse_than_with_the_input():
+    """Even if the others gain more than it loses; it may become worse than at its best."""
+    _, small = cloud_pair()
+
+    class Measured:
+        def __init__(self, *psnrs):
+            self.psnrs = iter(psnrs)
+
+        def psnr(self, _model):
+            return next(self.psnrs)
+
+    groups = [Measured(30.0, 40.0, 31.0, 35.0, 36.0), Measured(30.0, 29.9, 32.0, 30.0, 29.0)]
+    guard = Validator(small, groups)
+    state = start(small)
+    assert [guard.accepts(state) for _ in range(4)] == [False, True, True, False]
+    assert (guard.before, guard.best) == ([30, 30], [35, 30])
+
+
+def test_a_round_is_searched_from_its_end_to_the_best_state_so_far():
+    _, small = cloud_pair()
+    best, end = start(small), start(small)
+    best.means[:] += 1
+    end.means[:] += 5
+    seen = []
+
+    class Guard:
+        def accepts(self, state):
+            seen.append(float((state.means - small.means).mean()))
+            return len(seen) == 3
+
+    found, share = _line_search(Guard(), best, small, end)
+    assert share == 0.25
+    assert seen == pytest.approx([5, 3, 2])
+    assert found.means == pytest.approx(small.means + 2)
+
+
+@pytest.mark.parametrize(("rounds", "steps", "averaged"), [(10, 10, 10), (2, 10, 4), (1, 4, 0)])
+def test_the_last_fifth_of_all_steps_is_averaged_but_no_more_than_a_round(rounds, steps, averaged):
+    added = []
+
+    class Mean:
+        def add(self):
+            added.append(None)
+
+        def state(self):
+            return "mean"
+
+    class Steps:
+        parameters = RefitParameters(rounds=rounds, steps=steps)
+        state = "last"
+
+        def step(self, _rate, _share):
+            return 0.0
+
+        def running_mean(self):
+            return Mean()
+
+    reached = [_round(Steps(), 1.0, number, ignore_progress)[0] for number in range(rounds)]
+    assert len(added) == averaged
+    assert reached == ["last"] * (rounds - 1) + ["mean" if averaged else "last"]
+
+
+def test_the_first_steps_of_a_descent_are_shorter():
+    descent, rates = object.__new__(Descent), []
+    descent._count, descent.shared = 0, None
+    descent._next = lambda: (0, ALL_BLOCKS)
+    descent._follow_view = lambda _index, _wanted, rate: rates.append(rate) or 0.0
+    for _ in range(6):
+        descent.step(2.0, 0.0)
+    assert rates == pytest.approx([0.5, 1, 1.5, 2, 2, 2])
+    descent.step(2.0, 1.0)
+    assert rates[-1] == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_the_bands_share_a_change_of_colour(degree):
+    """The base colour gets half of it, the other bands equal parts of the rest."""
+    curvature, ridge = _bands(degree, RefitParameters(ridge=3.0, band_ridge=7.0)).T
+    sizes = np.repeat(2 * np.arange(degree + 1) + 1, 2 * np.arange(degree + 1) + 1)
+    shares = sizes / (4 * math.pi) / curvature
+    expected = [0.5, *([0.5 / degree] * ((degree + 1) ** 2 - 1))] if degree else [1]
+    assert shares == pytest.approx(expected)
+    assert (ridge * 4 * math.pi).tolist() == pytest.approx([3, *[7] * ((degree + 1) ** 2 - 1)])
+
+
 def test_steps_that_make_the_model_worse_are_undone():
     original, small = cloud_pair()
     # With this learning rate, colours overshoot by far in every round.
@@ -706,6 +792,8 @@ def test_swapped_models_are_noted():
     assert report.notes[0].startswith(
         f"The original has {len(small)} splats, fewer than the {len(original)} of the model that"
     )
+    _, report = refit(small, small, parameters=QUICK)
+    assert not any("fewer than" in note for note in report.notes)
 
 
 def test_views_that_see_no_splats_are_left_out_and_noted():
