@@ -20,10 +20,11 @@ from nanogs.io.parts import FileSource, level_note
 from nanogs.io.url_files import local_copies
 from nanogs.io.urls import place
 from nanogs.pipeline.estimates.stage_weights import read_weight, write_weight
+from nanogs.pose import Pose, pose_of_options
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.ranges import as_switch
-from nanogs.source import Filtered, InMemory, Layout, Reduced, Source, turned_source
+from nanogs.source import Filtered, InMemory, Layout, Posed, Reduced, Source, turned_source
 from nanogs.splats import RenderMode, check_degree
 
 if TYPE_CHECKING:
@@ -79,6 +80,9 @@ def convert(
     filters: Sequence[Filter] = (),
     sh_degree: int | None = None,
     frame: tuple[str, str] | None = None,
+    scale: float = 1.0,
+    rotate: Sequence[float] = (0.0, 0.0, 0.0),
+    translate: Sequence[float] = (0.0, 0.0, 0.0),
     render_mode: str | None = None,
     overwrite: bool = False,
     format_options: "FormatOptions | None" = None,
@@ -94,6 +98,9 @@ def convert(
         filters: Filters that remove splats, such as `[nanogs.filters.box(low, high)]`.
         sh_degree: The highest degree of spherical harmonics to keep, 0 to 4; all by default.
         frame: Coordinate frames from and to which the model is turned, such as ("rdf", "rub").
+        scale: Factor by which the model is scaled after that, about the origin.
+        rotate: Angles in degrees by which it is then turned: about x, then about y, then about z.
+        translate: Shift by which it is moved at last, scene units.
         render_mode: "default" or "mip" in place of the render mode that the file names; see `open`.
         overwrite: Replace the output if it exists.
         format_options: Options of the output's format; see `save`.
@@ -111,7 +118,7 @@ def convert(
     """
     start, clock = time.perf_counter(), StageClock()
     given, wanted, filters = place(source), place(target), checked_filters(filters)
-    frame = checked_frames(frame)
+    frame, pose = checked_frames(frame), pose_of_options(scale, rotate, translate)
     check_degree(sh_degree)
     format_options = registry.add_target_frame(wanted, format_options, frame)
     overwrite = as_switch("`overwrite`", overwrite)
@@ -138,7 +145,7 @@ def convert(
         tracker = Tracker(on_step, [Stage("read", read_weight(typical)), write])
         tracker.begin("read")
         with clock.time("read"):
-            model, took = _changed(file, path, filters, sh_degree, frame)
+            model, took = _changed(file, path, filters, sh_degree, frame, pose)
             # Read the input's facts now: the output may replace the input.
             notes, lost = _said(model, path)
             said = (*_which(file, level), *said)
@@ -184,6 +191,7 @@ def _changed(
     filters: Sequence[Filter],
     sh_degree: int | None,
     frame: tuple[str, str] | None,
+    pose: Pose | None,
 ) -> tuple[Source, tuple[FilterReport, ...]]:
     """Return the model to write and the filters' reports.
 
@@ -199,6 +207,7 @@ def _changed(
     if sh_degree is not None:
         source = Reduced(source, sh_degree)
     source = turned_source(source, frame)
+    source = source if pose is None else Posed(source, pose)
     return source if registry.writable(target).streams else InMemory(source.load()), took
 
 

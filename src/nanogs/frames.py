@@ -21,6 +21,7 @@ import numpy as np
 from nanogs._types import F32, F64, Array, F
 from nanogs.activations import quaternions
 from nanogs.errors import OptionError
+from nanogs.pose import without_vertical_axis
 from nanogs.sh import basis
 from nanogs.splats import RenderMode, Splats, refuse_other
 
@@ -146,11 +147,7 @@ def change_frame(splats: Splats, source: str, target: str) -> Splats:
 
 def comments_in(change: Change, comments: Sequence[str]) -> tuple[str, ...]:
     """Return the comments of a model in another frame, without one on its vertical axis."""
-    return tuple(
-        comment
-        for comment in comments
-        if change.is_nothing or not comment.strip().lower().startswith("vertical axis")
-    )
+    return tuple(comments) if change.is_nothing else without_vertical_axis(comments)
 
 
 def turned(splats: Splats, frames: tuple[str, str] | None) -> Splats:

@@ -1,5 +1,6 @@
 """`nanogs convert`."""
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,6 +14,12 @@ if TYPE_CHECKING:
     from nanogs.conversion import ConvertReport
     from nanogs.io.collect import Pair
     from nanogs.progress import Progress
+
+
+_NONE = options.Vector(0.0, 0.0, 0.0)
+_transform = partial(
+    typer.Option, rich_help_panel="Transforms (after --frame, in this order, in the frame of OUT)"
+)
 
 
 @with_options
@@ -34,6 +41,32 @@ def convert(
             " (3DGS), or back. The same as --frame rub:rdf.",
         ),
     ] = False,
+    scale: Annotated[
+        float,
+        _transform(
+            help="Scale the model about the origin by this factor.",
+            metavar="FACTOR",
+            show_default=False,
+        ),
+    ] = 1.0,
+    rotate: Annotated[
+        options.Vector,
+        _transform(
+            help="Turn it about the axes through the origin, x first, then y, then z; degrees.",
+            parser=options.parse_vector,
+            metavar="X,Y,Z",
+            show_default=False,
+        ),
+    ] = _NONE,
+    translate: Annotated[
+        options.Vector,
+        _transform(
+            help="Move it, in scene units of OUT.",
+            parser=options.parse_vector,
+            metavar="X,Y,Z",
+            show_default=False,
+        ),
+    ] = _NONE,
     of_format: options.OfFormat,
     overwrite: options.Overwrite = False,
     max_memory: options.MaxMemory = None,
@@ -55,7 +88,8 @@ def convert(
         frame = framing.turned(source) if turn else framing.frames_of([source], target, edits.frame)
         report = library_convert(
             source, target, level=level, filters=filters, sh_degree=edits.sh_degree,
-            frame=frame, render_mode=edits.render_mode, overwrite=overwrite,
+            frame=frame, scale=scale, rotate=rotate, translate=translate,
+            render_mode=edits.render_mode, overwrite=overwrite,
             format_options=of_format, max_memory=max_memory, progress=progress,
         )  # fmt: skip
         return many.Run(report, {"input": report.input, "output": report.output})

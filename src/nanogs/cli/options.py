@@ -23,6 +23,29 @@ class Direction(NamedTuple):
     z: float
 
 
+class Vector(NamedTuple):
+    """Three numbers."""
+
+    x: float
+    y: float
+    z: float
+
+
+def parse_vector(text: object) -> Vector:
+    """Parse three numbers from `x,y,z`; a default is returned as it is.
+
+    Raises:
+        OptionError: They are not three numbers.
+    """
+    if isinstance(text, Vector):
+        return text
+    try:
+        x, y, z = (float(part) for part in str(text).split(","))
+    except ValueError:
+        raise OptionError(f"Three numbers are needed, such as 0,90,0, not {text!r}.") from None
+    return Vector(x, y, z)
+
+
 def parse_direction(text: str) -> Direction:
     """Parse a direction from `x,y,z`.
 

@@ -18,6 +18,7 @@ from nanogs.filters import (
     refuse_whole,
 )
 from nanogs.frames import change_between, change_frame, comments_in
+from nanogs.pose import Pose
 from nanogs.source import base
 from nanogs.source.base import Source, joined_rows, refuse_no_source, span_of
 from nanogs.splats import ExtraElement, RenderMode, Splats, check_degree, refuse_misaligned
@@ -78,6 +79,19 @@ class Turned(_Mapped):
         super().__init__(source, lambda rows: change_frame(rows, before, after))
         comments = comments_in(change, self.columns.comments)
         self.columns = replace(self.columns, comments=comments)
+
+
+class Posed(_Mapped):
+    """A model that is moved, turned or scaled.
+
+    Args:
+        source: The model.
+        pose: The transform.
+    """
+
+    def __init__(self, source: Source, pose: Pose) -> None:
+        super().__init__(source, pose.applied)
+        self.columns = replace(self.columns, comments=pose.comments(self.columns.comments))
 
 
 def turned_source(source: Source, frames: tuple[str, str] | None) -> Source:

@@ -15,10 +15,11 @@ from nanogs.activations import logit
 from nanogs.io.gltf.colours import to_display
 from nanogs.io.gltf.document import Document, JsonObject
 from nanogs.io.gltf.rows import Accessor, BufferReader
-from nanogs.io.gltf.scene import EXTENSION, PlacedPrimitive, Pose
+from nanogs.io.gltf.scene import EXTENSION, PlacedPrimitive
 from nanogs.io.info import FileInfo
 from nanogs.io.spz import read as spz
 from nanogs.io.spz.header import read_header
+from nanogs.pose import Pose
 from nanogs.slices import BLOCK_ROWS
 
 MAX_DEGREE = 3

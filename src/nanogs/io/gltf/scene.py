@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nanogs._types import F32, F64
-from nanogs.activations import quaternions, rotations
+from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.gltf.document import Document, JsonObject
-from nanogs.sh import basis
+from nanogs.pose import Pose
 
 EXTENSION = "KHR_gaussian_splatting"
 # glTF is y-up, 3DGS files are y-down by convention: half a turn about z converts between them.
@@ -26,82 +25,6 @@ Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _IDENTITY = tuple(np.eye(4).ravel().tolist())
 _MAX_PRIMITIVES = 4096
 _CLOSE = 1e-4  # tolerance for rounding in single precision, accumulated over a few nodes
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """A transform without shear: x -> rotation (scale · x) + shift.
-
-    Attributes:
-        rotation: (3, 3) float64, orthonormal with determinant 1.
-        scale: (3,) float64, above 0; three equal numbers if the scaling is uniform.
-        shift: (3,) float64, scene units.
-    """
-
-    rotation: F64
-    scale: F64
-    shift: F64
-
-    def is_identity(self) -> bool:
-        """Return whether the transform changes nothing."""
-        same = np.array_equal(self.rotation, np.eye(3)) and (self.scale == 1).all()
-        return bool(same and not self.shift.any())
-
-    def means(self, means: F64) -> F64:
-        """Transform (R, 3) float64 centres."""
-        turned: F64 = self.scale * means @ self.rotation.T + self.shift
-        return turned
-
-    def shapes(self, quats: F64, log_scales: F64) -> tuple[F64, F64]:
-        """Transform the rotations and scales of splats.
-
-        If the scaling is not uniform, the axes of the results are sorted, the longest first.
-
-        Args:
-            quats: (R, 4) wxyz, not necessarily of unit length; zero is the identity.
-            log_scales: (R, 3).
-
-        Returns:
-            Both for the transformed splats; NaN for splats with a NaN or an infinite value where
-            the scaling is not uniform.
-        """
-        quats = np.where(quats.any(axis=1, keepdims=True), quats, (1.0, 0.0, 0.0, 0.0))
-        if (self.scale == self.scale[0]).all():
-            return self._turned(quats), log_scales + np.log(self.scale[0])
-        unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-        stretched = self.rotation * self.scale @ (rotations(unit) * np.exp(log_scales)[:, None])
-        whole = np.isfinite(stretched).all(axis=(1, 2))
-        # The SVD gives the axes and their lengths without squaring them, as a covariance would.
-        turned, lengths, _ = np.linalg.svd(np.where(whole[:, None, None], stretched, np.eye(3)))
-        turned[:, :, 2] *= np.linalg.det(turned)[:, None]
-        return (
-            np.where(whole[:, None], quaternions(turned), np.nan),
-            np.where(whole[:, None], np.log(lengths), np.nan),
-        )
-
-    def _turned(self, quats: F64) -> F64:
-        """Apply the rotation to (R, 4) wxyz rotations of splats; the result is float64."""
-        w, *v = quaternions(self.rotation[None])[0]
-        axis = np.array(v)
-        real, imaginary = quats[:, :1], quats[:, 1:]
-        return np.concatenate(
-            [
-                w * real - imaginary @ axis[:, None],
-                w * imaginary + real * axis + np.cross(axis, imaginary),
-            ],
-            axis=1,
-        )
-
-    def harmonics(self, sh: F32) -> F64:
-        """Rotate (R, K, 3) SH coefficients, so that colours turn with the splats."""
-        degree = int(sh.shape[1] ** 0.5) - 1
-        rng = np.random.default_rng(0)
-        directions = rng.normal(size=(8 * sh.shape[1], 3))
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        turned = basis(directions @ self.rotation, degree)  # in the splat's old frame: R^T d
-        matrix = np.linalg.lstsq(basis(directions, degree), turned, rcond=None)[0].round(12)
-        result: F64 = np.einsum("jk,rkc->rjc", matrix, sh.astype(np.float64))
-        return result
 
 
 @dataclass(frozen=True, slots=True)

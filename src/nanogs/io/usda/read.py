@@ -19,10 +19,11 @@ from nanogs.errors import FormatError
 from nanogs.findings import invalid_opacities, negative_scales
 from nanogs.formatting import counted
 from nanogs.io.files import input_size, reading
-from nanogs.io.gltf.scene import Z_UP, Pose, pose_of
+from nanogs.io.gltf.scene import Z_UP, pose_of
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
 from nanogs.io.usda.text import Layer, Prim, read_layer
+from nanogs.pose import Pose
 from nanogs.slices import BLOCK_ROWS
 from nanogs.source import joined_rows
 from nanogs.splats import MAX_SH_DEGREE, Splats
