@@ -28,7 +28,7 @@ def square(matrix):
 
 
 class Training:
-    """What nerfstudio does to a data set before training, in its own order of operations."""
+    """The changes that nerfstudio makes to a data set before training, in its own order."""
 
     def __init__(self, applied=APPLIED, applied_scale=1.0, seed=0):
         rng = np.random.default_rng(seed)
