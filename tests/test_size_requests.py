@@ -342,7 +342,7 @@ def test_the_overhead_of_every_file_does_not_count_as_used():
 
 @dataclass(frozen=True)
 class Ended:
-    """What is read and changed of a result or a report."""
+    """The fields of a result or a report that are read and changed."""
 
     stop: StopReason
     notes: tuple[str, ...] = ()
