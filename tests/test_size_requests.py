@@ -333,10 +333,10 @@ def test_a_dry_run_in_blocks_applies_the_sh_degree(tmp_path):
 
 def test_the_overhead_of_every_file_does_not_count_as_used():
     over = SizeProbeReport(11, 1040)
-    assert little_used(1000, 990, over, around=500) == ()
-    [note] = little_used(1000, 989, over, around=500)
+    assert little_used(1000, 990, over, overhead=500) == ()
+    [note] = little_used(1000, 989, over, overhead=500)
     assert note.endswith("because a file of 11 splats takes 1,040 B.")
-    [note] = little_used(1000, 989, None, around=500)
+    [note] = little_used(1000, 989, None, overhead=500)
     assert note.endswith("because no larger one was found in the allowed number of tries.")
 
 
