@@ -502,6 +502,20 @@ def test_wrong_names_and_options_are_refused(scene, tmp_path, name, options, fra
     assert list(tmp_path.iterdir()) == []
 
 
+def test_sizes_of_chunks_may_have_units(tmp_path):
+    model, options = tmp_path / "a.ply", ["--levels", "1,0.5", "--preset", "fast"]
+    nanogs.save(random_splats(3000, degree=0), model)
+    for name, sizes in (
+        ("long", ["--chunk", "1000", "--chunk-min", "200"]),
+        ("short", ["--chunk", "1k", "--chunk-min", "0.2k"]),
+    ):
+        target = tmp_path / name / "lod-meta.json"
+        assert run("lod", model, target, *options, *sizes).returncode == 0
+    first, second = (sorted((tmp_path / name).rglob("*.*")) for name in ("long", "short"))
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
+    assert len(first) > 8
+
+
 @pytest.mark.parametrize(("chunk", "least"), [(1, None), (3, None), (7, 4), (9, 5)])
 def test_any_size_of_chunks_is_possible(chunk, least):
     layout = chunks_of(LodLayout.SOG, chunk, least, plain=False)

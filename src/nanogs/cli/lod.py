@@ -63,6 +63,8 @@ def lod(
     chunk: Annotated[
         int | None,
         typer.Option(
+            parser=options.parse_count,
+            metavar="COUNT",
             help="Largest number of splats in a chunk of the finest level, in streamed SOG and 3D"
             " Tiles.",
             show_default=str(CHUNK),
@@ -71,6 +73,8 @@ def lod(
     chunk_min: Annotated[
         int | None,
         typer.Option(
+            parser=options.parse_count,
+            metavar="COUNT",
             help="Smallest number of splats in such a chunk, and in a file of streamed SOG, unless"
             " a level has fewer.",
             show_default=f"{LEAST_CHUNK}, or a quarter of --chunk",
