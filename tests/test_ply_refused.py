@@ -69,6 +69,14 @@ def test_saving_in_formats_that_are_not_written_is_refused(tmp_path, name):
         io.check_writable(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["small", "new/"])
+def test_an_output_without_a_suffix_gets_an_example(tmp_path, name):
+    with pytest.raises(OptionError) as caught:
+        io.check_writable(f"{tmp_path}/{name}")
+    path = tmp_path / name
+    assert str(caught.value).endswith(f"such as {path}.ply or {path / 'scene.ply'}.")
+
+
 def test_check_writable_uses_a_given_format(tmp_path):
     io.check_writable(tmp_path / "a.obj", format="ply")
     io.check_writable(tmp_path / "a", format=".spz", format_options={"spz_version": 2})

@@ -136,7 +136,10 @@ def test_parameters_of_paper_out_of_range_are_refused(name, value):
 @pytest.mark.parametrize(
     ("override", "message"),
     [({"preset": "papr"}, "no preset 'papr'"), ({"k": 0}, "k must be 1 or more, not 0")]
-    + [({name: 1}, f"default has no parameter '{name}'") for name in ("kk", "tau", "samples")],
+    + [({name: 1}, f"default has no parameter '{name}'") for name in ("kk", "tau", "samples")]
+    + [({"job": "x"}, r"no parameter 'job' \(nanogs\.simplify_blocks takes it\)")]
+    + [({"filters": []}, r"no parameter 'filters' \(nanogs\.filters\.apply filters")]
+    + [({"overwrite": True}, r"no parameter 'overwrite' \(nanogs\.save writes")],
 )
 def test_unknown_presets_and_parameters_are_refused(override, message):
     with pytest.raises(OptionError, match=message):

@@ -332,6 +332,11 @@ def writable(path: Path) -> Format:
         raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
     if known is None and not isinstance(path, Address) and is_folder(path):
         raise OptionError(f"{path} is a folder; name a file in it, such as {path / 'scene.ply'}.")
+    if known is None and path.name.strip(".") == path.name and not path.suffix:
+        raise OptionError(
+            f"{path}: the suffix says which format is written; name a file with one, such as"
+            f" {path}.ply or {path / 'scene.ply'}."
+        )
     if known is None or not known.writable:
         raise OptionError(f"{path}: nanogs does not write this format{_instead(path)}.")
     return known

@@ -51,6 +51,14 @@ _ARGUMENTS = (
     "render_mode", "block", "job", "scratch", "resume", "executor", "patience", "chunk",
     "chunk_min", "plain", "place", "source",
 )  # fmt: skip
+# The same that some of these functions do not take, with what to use there.
+_ELSEWHERE = {
+    "filters": " (nanogs.filters.apply filters a model first)",
+    "overwrite": " (nanogs.save writes the result, and takes it)",
+} | dict.fromkeys(
+    ("block", "job", "scratch", "resume", "executor", "patience"),
+    " (nanogs.simplify_blocks takes it)",
+)
 _SWITCHES = ("guided", "steps")  # parameters that decide which others have an effect
 ROUND = 32  # steps in each round of the fit, about
 SEARCHED_STEPS = 84  # least steps of the fit of a result whose packing is searched for
@@ -83,7 +91,7 @@ def parameters(preset: str, overrides: Mapping[str, Any]) -> Parameters:
     for name in given:
         if name not in known:
             others = [other for other in (*known, *_ARGUMENTS) if other != name]
-            meant = did_you_mean(name, others)
+            meant = _ELSEWHERE.get(name) or did_you_mean(name, others)
             raise OptionError(
                 f"The preset {preset} has no parameter {name!r}{meant}; choose from"
                 f" {', '.join(known)}."
