@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import nanogs
 from builders import model_bytes, random_splats
 from launch import run as run_command
+from nanogs.datasets.nerfstudio import moved
 from nanogs.errors import OptionError
 from nanogs.frames import change_frame
 from nanogs.pose import pose_of_options
@@ -22,15 +23,6 @@ from strategies import assert_same
 
 ANGLES = st.tuples(*[st.floats(-360, 360)] * 3)
 SHIFTS = st.tuples(*[st.floats(-50, 50)] * 3)
-
-
-def moved(camera, pose):
-    """Return the camera that sees the transformed scene as `camera` sees the scene."""
-    turned = camera.world_to_camera[:3, :3] @ pose.rotation.T
-    matrix = np.eye(4)
-    matrix[:3, :3] = turned
-    matrix[:3, 3] = pose.scale[0] * camera.world_to_camera[:3, 3] - turned @ pose.shift
-    return dataclasses.replace(camera, world_to_camera=matrix, near=pose.scale[0] * camera.near)
 
 
 @settings(max_examples=20, deadline=None)

@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 
 _NONE = options.Vector(0.0, 0.0, 0.0)
 _transform = partial(
-    typer.Option, rich_help_panel="Transforms (after --frame, in this order, in the frame of OUT)"
+    typer.Option,
+    rich_help_panel="Transforms (after --frame, in this order, in the frame of OUT)",
+    show_default=False,
 )
+_vector = partial(_transform, parser=options.parse_vector, metavar="X,Y,Z")
 
 
 @with_options
@@ -46,26 +49,17 @@ def convert(
         _transform(
             help="Scale the model about the origin by this factor.",
             metavar="FACTOR",
-            show_default=False,
         ),
     ] = 1.0,
     rotate: Annotated[
         options.Vector,
-        _transform(
-            help="Turn it about the axes through the origin, x first, then y, then z; degrees.",
-            parser=options.parse_vector,
-            metavar="X,Y,Z",
-            show_default=False,
+        _vector(
+            help="Turn it about the axes through the origin, x first, then y, then z; degrees."
         ),
     ] = _NONE,
     translate: Annotated[
         options.Vector,
-        _transform(
-            help="Move it, in scene units of OUT.",
-            parser=options.parse_vector,
-            metavar="X,Y,Z",
-            show_default=False,
-        ),
+        _vector(help="Move it, in scene units of OUT."),
     ] = _NONE,
     of_format: options.OfFormat,
     overwrite: options.Overwrite = False,

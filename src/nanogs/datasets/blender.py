@@ -10,7 +10,7 @@ import numpy as np
 from nanogs._types import F64
 from nanogs.datasets import fields
 from nanogs.datasets.frame import Frame
-from nanogs.datasets.nerfstudio import find_change, test_images
+from nanogs.datasets.nerfstudio import find_change, moved, test_images
 from nanogs.datasets.photos import find_photo, photo_size
 from nanogs.errors import FormatError
 from nanogs.raster.lens import Lens
@@ -51,7 +51,7 @@ def read_transforms(path: Path) -> list[Frame]:
     frames = [_frame(path, index, {**shared, **row}) for index, row in enumerate(rows)]
     change = find_change(path.parent, shared, str(path))
     if change is not None:
-        frames = [replace(frame, camera=change.applied(frame.camera)) for frame in frames]
+        frames = [replace(frame, camera=moved(frame.camera, change)) for frame in frames]
     fields.refuse_repeats((frame.camera.name for frame in frames), str(path), "image")
     found = (frame.photo_path for frame in frames if frame.photo_path is not None)
     fields.refuse_repeats(found, str(path), "photograph")

@@ -14,6 +14,7 @@ from nanogs.datasets.inria import read_cameras_json
 from nanogs.datasets.nerfstudio import (
     CHANGE_FILE,
     find_change,
+    moved,
     read_camera_path,
     refuse_lone,
 )
@@ -259,7 +260,7 @@ def _read_sparse(model: Path, folder: Path) -> list[Camera]:
     """Read a sparse model, and move its cameras if the data set's folder says so."""
     change = find_change(folder)
     cameras = read_model(model)
-    return cameras if change is None else [change.applied(camera) for camera in cameras]
+    return cameras if change is None else [moved(camera, change) for camera in cameras]
 
 
 def _sparse(folder: Path) -> Path | None:

@@ -8,7 +8,7 @@ nerfstudio/data/dataparsers/nerfstudio_dataparser.py and base_dataparser.py.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from nanogs._types import F64
 from nanogs.datasets import fields
 from nanogs.errors import FormatError
 from nanogs.paths import is_file
+from nanogs.pose import Pose
 from nanogs.raster.camera import Camera
 
 CHANGE_FILE = "dataparser_transforms.json"
@@ -26,34 +27,9 @@ _NEAR = 0.01  # scene units, as nerfstudio renders splats
 _REMEDY = "copy it again from the folder of the training run"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CoordinateChange:
-    """A change of coordinates, p' = scale (rotation p + shift).
-
-    Attributes:
-        rotation: (3, 3) float64, a rotation.
-        shift: (3,) float64, scene units before the change.
-        scale: Units after the change for each unit before it, more than 0.
-    """
-
-    rotation: F64
-    shift: F64
-    scale: float
-
-    def applied(self, camera: Camera) -> Camera:
-        """Return the camera that sees the changed scene as this one sees the scene."""
-        turned = camera.world_to_camera[:3, :3] @ self.rotation.T
-        pose = np.eye(4)
-        pose[:3, :3] = turned
-        pose[:3, 3] = self.scale * (camera.world_to_camera[:3, 3] - turned @ self.shift)
-        return replace(
-            camera, world_to_camera=pose, near=self.scale * camera.near, changed_by=CHANGE_FILE
-        )
-
-
 def find_change(
     folder: Path, saved: Mapping[str, Any] | None = None, where: str = ""
-) -> CoordinateChange | None:
+) -> Pose | None:
     """Read the change of coordinates in a folder; None if there is none.
 
     Args:
@@ -77,7 +53,20 @@ def find_change(
             applied = _rigid(saved["applied_transform"], f"{where}, applied_transform")
             whole = whole @ np.linalg.inv(applied)
         scale /= _scale(saved.get("applied_scale", 1.0), f"{where}, applied_scale")
-    return CoordinateChange(whole[:3, :3], whole[:3, 3], scale)
+    return Pose(whole[:3, :3], np.full(3, scale), scale * whole[:3, 3])
+
+
+def moved(camera: Camera, change: Pose) -> Camera:
+    """Return the camera that sees the changed scene as `camera` sees the scene.
+
+    Args:
+        camera: The camera.
+        change: The change of the scene, with a uniform scale.
+    """
+    scale, pose = float(change.scale[0]), np.eye(4)
+    pose[:3, :3] = camera.world_to_camera[:3, :3] @ change.rotation.T
+    pose[:3, 3] = scale * camera.world_to_camera[:3, 3] - pose[:3, :3] @ change.shift
+    return replace(camera, world_to_camera=pose, near=scale * camera.near, changed_by=CHANGE_FILE)
 
 
 def read_camera_path(path: Path) -> list[Camera]:
