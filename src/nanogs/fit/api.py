@@ -88,6 +88,7 @@ def refit(
     from nanogs.fit.views import view_targets
     from nanogs.raster.camera import camera_notes
     from nanogs.threads import use_threads
+    from nanogs.views.cameras import frame_notes
 
     with (
         use_device(device) as used,
@@ -116,6 +117,7 @@ def refit(
             *_swapped(len(large), len(given)),
             *unusable,
             *camera_notes(cameras or ()),
+            *frame_notes(cameras or (), large),
             *unseen,
             *report.notes,
             *known.without_effect(options, fitted.sh_degree),

@@ -23,6 +23,7 @@ from nanogs.scoring.scores import (
 from nanogs.scoring.unpacked import UnpackedModel
 from nanogs.source import Layout, Source, source_of
 from nanogs.splats import Splats
+from nanogs.views.cameras import frame_notes
 from nanogs.views.costing import views_of
 from nanogs.views.covering import cost_on
 from nanogs.views.streamed import drawable
@@ -193,6 +194,7 @@ def compare_models(
     if first and first.skipped:
         notes.append(f"the reference: {undrawn(first.skipped)}")
     notes += [*_differences(reference, models), *camera_notes(cameras)]
+    notes += frame_notes(cameras, reference.splats)
     protocol = views_of(_cameras(views), kind, background=background)
     cost = cost_on(reference.splats, _cameras(views), protocol) if scoring.costs else None
     scores, sheets = score_models(models, views, protocol, scoring, progress)
@@ -226,10 +228,12 @@ def compare_with_photographs(
     Raises:
         OptionError: No model is given.
     """
-    protocol = views_of(_cameras(views), "photographs", split, background)
+    cameras = _cameras(views)
+    protocol = views_of(cameras, "photographs", split, background)
     progress = progress or Tracker(None, [])
     scores, sheets = score_models(models, views, protocol, scoring, progress)
-    return _comparison(source, None, views, [], protocol, scores, []), sheets
+    notes = frame_notes(cameras, models[0].splats)
+    return _comparison(source, None, views, [], protocol, scores, notes), sheets
 
 
 def _cameras(views: Sequence[ReferenceView]) -> list[Camera]:

@@ -17,7 +17,7 @@ from nanogs._types import F64, I64
 from nanogs.errors import OptionError
 from nanogs.ranges import is_number
 from nanogs.raster.camera import Camera
-from nanogs.source import Source, refuse_no_model
+from nanogs.source import Source, refuse_no_model, source_of
 from nanogs.splats import Splats
 from nanogs.views import inside, orbit
 from nanogs.views.heading import seen_from, without_surroundings
@@ -170,7 +170,7 @@ def survey(
     if given is not None:
         camera_frame = frame_from_up(without_surroundings(sampled), given)
     elif habit:
-        usual = stated_up(model.comments if isinstance(model, Splats) else model.columns.comments)
+        usual = stated_up(source_of(model).columns.comments)
         camera_frame = frame_from_up(
             without_surroundings(sampled), detect_up(sampled, find_core(sampled), usual)
         )

@@ -11,8 +11,8 @@ from nanogs.paths import exists, why_refused
 from nanogs.protocol import PIXELS, VIEWS
 from nanogs.protocol import Kind as Origin
 from nanogs.ranges import is_number, one_or_several
-from nanogs.raster.camera import Camera
-from nanogs.source import Source, refuse_no_model
+from nanogs.raster.camera import NEAR, Camera
+from nanogs.source import Source, refuse_no_model, source_of
 from nanogs.splats import Splats
 from nanogs.views.automatic import Kind, Split, automatic_cameras
 from nanogs.views.decimated import decimated
@@ -22,6 +22,13 @@ Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
 
 AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
 FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all kinds of automatic cameras
+
+
+_OF_NERFSTUDIO = (
+    "The model was exported by nerfstudio, which trains in other coordinates than those of its data"
+    " set: if pictures do not show what the photographs show, copy the dataparser_transforms.json"
+    " of the training run beside the cameras."
+)
 
 
 def cameras_for(
@@ -80,6 +87,20 @@ def cameras_from(source: str) -> list[Camera]:
     from nanogs.datasets.dataset import cameras_from_file
 
     return cameras_from_file(Path(source))
+
+
+def frame_notes(cameras: Sequence[Camera], model: Splats | Source) -> list[str]:
+    """Return a note for the user if cameras of a file may be in another frame than the model.
+
+    Models of nerfstudio are, unless it was told not to change coordinates. Cameras of files are
+    recognised by their near plane, which automatic ones scale with the model.
+    """
+    comments = " ".join(source_of(model).columns.comments).lower()
+    made = "nerfstudio" in comments or "nerstudio" in comments  # as its exporter spells it
+    unchanged = [camera for camera in cameras if camera.near == NEAR and not camera.changed_by]
+    if not (made and unchanged):
+        return []
+    return [_OF_NERFSTUDIO]
 
 
 def chosen_cameras(

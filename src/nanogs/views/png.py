@@ -19,7 +19,7 @@ from nanogs.raster.images import color_image, depth_image
 from nanogs.raster.rendering import Rendering
 from nanogs.source import Source
 from nanogs.splats import Splats
-from nanogs.views.cameras import check_cameras
+from nanogs.views.cameras import check_cameras, frame_notes
 from nanogs.views.streamed import drawable, renderings
 
 _PHOTO = re.compile(r"\.(png|jpe?g|webp)$", re.IGNORECASE)
@@ -83,7 +83,11 @@ def render_images(
         notes = _write(shown, files, place, transparent=transparent, overwrite=overwrite)
     tracker.finish()
     notes += _left(before, written, folder)
-    return [str(folder / name) for name in written], [*camera_notes(cameras), *notes]
+    return [str(folder / name) for name in written], [
+        *camera_notes(cameras),
+        *frame_notes(cameras, model),
+        *notes,
+    ]
 
 
 def _pictures(folder: Path) -> set[str]:

@@ -18,6 +18,7 @@ from nanogs.pipeline.options.views import camera_of, plain_camera
 from nanogs.raster.camera import Camera, camera_notes, pick_evenly
 from nanogs.raster.rendering import PreparedSplats, project
 from nanogs.views.automatic import all_around, cameras_of, survey
+from nanogs.views.cameras import frame_notes
 
 if TYPE_CHECKING:
     from nanogs.pipeline.scene import Scene
@@ -99,7 +100,7 @@ def choose_views(scene: "Scene") -> Views:
                 around = cameras_of(all_around(analysed), numbers, SMALL, SMALL)
     except ModelError as error:
         return Views((), (), (), (f"Nothing was rendered or measured: {error}",))
-    notes = tuple(camera_notes(given))
+    notes = (*camera_notes(given), *frame_notes(given, some))
     if found is not None and len(found) < wanted:
         notes = (f"Only {len(found)} of {counted(wanted, 'roaming view')} could be found.",)
     return Views(tuple(kept), tuple(further), tuple(around), notes)
