@@ -34,7 +34,6 @@ class FakeStudio:
     Attributes:
         requests: Path and JSON of each request, in order.
         drawn_reports: The page's reports of what it has drawn, in order.
-        left: The reports of pages that they are being left, in order.
         fetched: Names of models, in the order in which they were fetched.
         refused: By path, the status and the sentence with which its next request is answered.
     """
@@ -45,7 +44,6 @@ class FakeStudio:
         start = opening_for(original)
         self.models = {name: pack(model, start).data for name, model in models.items()}
         self.requests, self.refused, self.drawn_reports, self.fetched = [], {}, [], []
-        self.left = []
         self._events = queue.Queue()
         [position] = in_page(start.position[None], start).tolist()
         low, high = original.means.min(axis=0).tolist(), original.means.max(axis=0).tolist()
@@ -147,9 +145,8 @@ def running_fake(models):
         def do_POST(self):
             body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
             path = self.path.removeprefix("/")
-            reports = {"seen": fake.drawn_reports, "leave": fake.left}
-            if path in reports:
-                reports[path].append(body)
+            if path == "seen":
+                fake.drawn_reports.append(body)
                 self.send(b"{}", "application/json")
                 return
             fake.requests.append((path, body))

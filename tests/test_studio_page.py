@@ -198,17 +198,6 @@ def test_a_reload_keeps_the_choice(studio):
     assert page.get_by_role("button", name="best").get_attribute("aria-pressed") == "true"
 
 
-def test_a_page_that_is_left_tells_the_server(studio):
-    """A reload would otherwise wait for the work of the page that it replaces."""
-    page, fake = studio.page, studio.fake
-    name = fake.requests[-1][1]["page"]
-    page.reload()
-    studio.wait_until(lambda: fake.left == [{"page": name}])
-    fake.wait("ask", 2)
-    studio.answer_request()
-    assert len(fake.left) == 1
-
-
 def test_the_page_reports_the_models_that_it_has_drawn(studio):
     studio.wait_until(
         lambda: [body["model"] for body in studio.fake.drawn_reports][-1:] == ["blue"]

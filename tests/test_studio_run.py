@@ -277,25 +277,6 @@ def test_cancelling_a_save_leaves_no_file(page, folder):
     page.wait("measured", number=number)
 
 
-def test_a_page_that_is_left_gives_up_its_requests_at_once_but_no_save(page, folder):
-    long = {"wish": {"splats": 3000}, "format": ".sog", "preset": "best"}
-    number, _ = page.ask(**long)
-    page.wait("progress", number=number)
-    start = time.monotonic()
-    assert page.post("leave")[0] == 204
-    assert page.wait("cancelled", number=number)["kind"] == "ask"
-    assert time.monotonic() - start < 8
-    saved, _ = page.save("left.sog", wish={"splats": 300}, format=".sog", **FAST)
-    number, _ = page.ask(**long)
-    page.post("leave")
-    ends = [page.wait("saved", "cancelled") for _ in range(2)]
-    assert {event["number"]: event["type"] for event in ends} == {
-        saved: "saved",
-        number: "cancelled",
-    }
-    (folder / "left.sog").unlink()
-
-
 @posix
 def test_a_worker_killed_during_a_save_is_reported_and_restarted(page, studio, folder):
     before = sorted(path.name for path in folder.iterdir())

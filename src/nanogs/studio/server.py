@@ -18,7 +18,7 @@ from nanogs._version import __version__
 from nanogs.errors import ExistsError, NanogsError, OptionError
 from nanogs.formatting import utf8
 from nanogs.studio.choice import Choice, choice_of
-from nanogs.studio.jobs import Job, Kind
+from nanogs.studio.jobs import Job
 from nanogs.studio.listing import Folder
 from nanogs.studio.orders import SaveRequest, refuse_unfit, shown_path
 from nanogs.studio.pages import Pages
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
 _TICK = 0.5
-_FOR_THE_PAGE: tuple[Kind, ...] = ("ask", "filter", "curve")  # jobs of no use without their page
 _TYPES = {
     ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".png": "image/png",
     ".json": "application/json", ".woff2": "font/woff2",
@@ -120,7 +119,7 @@ class Studio:
             get("files", self._files), get("models/{name}.spz", self._model),
             post("ask", self._ask), post("filter", self._filter),
             post("save", self._save), post("command", self._command),
-            post("cancel", self._cancel), post("leave", self._leave), post("seen", self._seen),
+            post("cancel", self._cancel), post("seen", self._seen),
         ]  # fmt: skip
         application = Starlette(routes=routes, lifespan=self._living)
         application.router.redirect_slashes = False
@@ -139,7 +138,7 @@ class Studio:
         while True:
             await asyncio.sleep(_TICK)
             for name in self._pages.gone():
-                self._supervisor.cancel(name, *_FOR_THE_PAGE)
+                self._supervisor.cancel(name, "ask", "filter", "curve")
             saving = any(job.kind == "save" for job in self._supervisor.queue)
             left = self._pages.last_left
             if left is None or self._pages.watched or saving or not self._idle:
@@ -253,14 +252,6 @@ class Studio:
 
         data, _ = await self._asked(request)
         self._supervisor.cancel(data["page"])
-        return Response(status_code=204)
-
-    async def _leave(self, request: "Request") -> "Response":
-        """Drop the requests of a page that is being closed or loaded again, but not its save."""
-        from starlette.responses import Response
-
-        data, _ = await self._asked(request)
-        self._supervisor.cancel(data["page"], *_FOR_THE_PAGE)
         return Response(status_code=204)
 
     async def _seen(self, request: "Request") -> "Response":

@@ -13,12 +13,6 @@ export function connect() {
     const event = JSON.parse(message.data);
     emit(event.type, event);
   };
-  // A page that is loaded again would otherwise wait until the server has missed this one. A page
-  // that the browser keeps (`persisted`) may come back, and still wants its answers.
-  addEventListener("pagehide", ({ persisted }) => {
-    const words = new Blob([JSON.stringify({ page: PAGE })], { type: "application/json" });
-    if (!persisted) navigator.sendBeacon("leave", words);
-  });
   source.onopen = () => emit("connected", {});
   source.onerror = () => emit("lost", { final: source.readyState === EventSource.CLOSED });
 
