@@ -201,7 +201,7 @@ def surroundings(
     Args:
         asked: "auto", "none", a path or a model.
         ratio: Share of the environment's splats to keep, or None for all.
-        layout: LodLayout of the levels.
+        layout: Layout of the levels.
 
     Raises:
         OptionError: The environment is none of these, the layout has no environment, the path is a

@@ -182,7 +182,7 @@ def usual_levels(
 
     Args:
         model: The model, a source of it, or paths of the parts of one scene.
-        layout: LodLayout of the levels.
+        layout: Layout of the levels.
 
     Raises:
         FormatError: A path is no model.

@@ -45,7 +45,30 @@ def read_transforms(path: Path) -> list[Frame]:
             not rigid, an image is listed twice, a photograph has another size than its frame
             states, or no size is known.
     """
-    document = fields.entry(fields.read_json(path), str(path))
+    return _frames(path, _document(path))
+
+
+def split_transforms(path: Path) -> tuple[list[Frame], list[Frame]]:
+    """Read the frames of nerfstudio's `transforms.json`: those for training, and those for testing.
+
+    Raises:
+        FormatError: See `read_transforms` and `nerfstudio.test_images`.
+    """
+    document = _document(path)
+    frames = _frames(path, document)
+    names = [frame.camera.name for frame in frames]
+    held_out = test_images(names, document, str(path))
+    return (
+        [frame for frame in frames if frame.camera.name not in held_out],
+        [frame for frame in frames if frame.camera.name in held_out],
+    )
+
+
+def _document(path: Path) -> dict[str, Any]:
+    return fields.entry(fields.read_json(path), str(path))
+
+
+def _frames(path: Path, document: dict[str, Any]) -> list[Frame]:
     shared = {key: value for key, value in document.items() if key != "frames"}
     rows = fields.entries(document.get("frames"), f"{path}, frames")
     frames = [_frame(path, index, {**shared, **row}) for index, row in enumerate(rows)]
@@ -56,21 +79,6 @@ def read_transforms(path: Path) -> list[Frame]:
     found = (frame.photo_path for frame in frames if frame.photo_path is not None)
     fields.refuse_repeats(found, str(path), "photograph")
     return frames
-
-
-def split_transforms(path: Path) -> tuple[list[Frame], list[Frame]]:
-    """Read the frames of nerfstudio's `transforms.json`: those for training, and those for testing.
-
-    Raises:
-        FormatError: See `read_transforms` and `nerfstudio.test_images`.
-    """
-    frames = read_transforms(path)
-    names = [frame.camera.name for frame in frames]
-    held_out = test_images(names, fields.entry(fields.read_json(path), str(path)), str(path))
-    return (
-        [frame for frame in frames if frame.camera.name not in held_out],
-        [frame for frame in frames if frame.camera.name in held_out],
-    )
 
 
 def _frame(path: Path, index: int, row: dict[str, Any]) -> Frame:

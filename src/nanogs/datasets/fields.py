@@ -130,6 +130,13 @@ def matrix(value: object, shape: tuple[int, int], where: str) -> F64:
     return np.array([number(item, where, MAX_DISTANCE) for item in flat]).reshape(shape)
 
 
+def is_rotation(matrix: F64) -> bool:
+    """Return whether a (3, 3) matrix is a rotation, within `RIGID_TOLERANCE`."""
+    off = matrix.T @ matrix - np.eye(3)
+    # `<=`, so that NaN fails; the determinant, because mirrors are orthonormal too.
+    return bool(np.abs(off).max() <= RIGID_TOLERANCE and np.linalg.det(matrix) > 0)
+
+
 def inverted(rotation: F64, position: F64, where: str) -> F64:
     """Compute a world-to-camera matrix from a camera's axes and centre.
 
@@ -145,9 +152,7 @@ def inverted(rotation: F64, position: F64, where: str) -> F64:
     Raises:
         FormatError: The rotation scales, shears or mirrors, or a value is not finite.
     """
-    off = rotation.T @ rotation - np.eye(3)
-    # `not <=` and not `>`, so that NaN fails; the determinant, because mirrors are orthonormal too.
-    if not (np.abs(off).max() <= RIGID_TOLERANCE and np.linalg.det(rotation) > 0):
+    if not is_rotation(rotation):
         raise FormatError(
             f"{where}: its pose is not a rotation and a translation; "
             "export the cameras without scale, shear or mirroring."

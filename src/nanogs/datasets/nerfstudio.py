@@ -176,9 +176,7 @@ def _rigid(value: object, where: str) -> F64:
     """Return a (4, 4) matrix of a rotation and a translation, of which three rows are given."""
     found = np.eye(4)
     found[:3] = fields.matrix(value, (3, 4), where)
-    rotation = found[:3, :3]
-    off = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if not (off <= fields.RIGID_TOLERANCE and np.linalg.det(rotation) > 0):
+    if not fields.is_rotation(found[:3, :3]):
         raise FormatError(f"{where}: is not a rotation and a translation; {_REMEDY}.")
     return found
 
