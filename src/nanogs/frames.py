@@ -22,7 +22,7 @@ from nanogs._types import F32, F64, Array, F
 from nanogs.activations import quaternions
 from nanogs.errors import OptionError
 from nanogs.pose import without_vertical_axis
-from nanogs.sh import basis
+from nanogs.sh import band_matrix
 from nanogs.splats import RenderMode, Splats, refuse_other
 
 TRAINED, Y_UP = "rdf", "rub"
@@ -184,23 +184,13 @@ def _in_old_order(quats: F32, change: Change) -> F32:
 
 def _turned(sh: F32, change: Change) -> F32:
     """Return (N, K, 3) coefficients in the new frame, for the same colours from each side."""
-    matrix = _band_matrix(int(sh.shape[1] ** 0.5) - 1, change)
+    matrix = band_matrix(change.matrix, int(sh.shape[1] ** 0.5) - 1)
     signs = np.diag(matrix)
     with np.errstate(invalid="ignore"):  # signalling NaNs would warn
         if np.array_equal(np.abs(matrix), np.eye(len(matrix))):
             return sh * signs[:, None].astype(np.float32)
         mixed: F32 = np.einsum("jk,nkc->njc", matrix, sh.astype(np.float64)).astype(np.float32)
     return mixed
-
-
-def _band_matrix(degree: int, change: Change) -> F64:
-    """Compute the (K, K) matrix that maps old spherical-harmonic coefficients to new ones."""
-    rng = np.random.default_rng(0)
-    directions = rng.normal(size=(8 * (degree + 1) ** 2, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    before = basis(directions @ change.matrix, degree)  # the same directions in the old frame
-    solved = np.linalg.lstsq(basis(directions, degree), before, rcond=None)[0]
-    return np.asarray(solved, np.float64).round(12)
 
 
 def _turned_normals(splats: Splats, axes: list[int], signs: Array) -> dict[str, Array]:

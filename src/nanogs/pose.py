@@ -10,7 +10,7 @@ from nanogs._types import F32, F64, Array
 from nanogs.activations import quaternions, rotations
 from nanogs.errors import OptionError
 from nanogs.ranges import is_number
-from nanogs.sh import basis
+from nanogs.sh import band_matrix
 from nanogs.splats import Splats
 
 _NORMALS = ("nx", "ny", "nz")
@@ -83,12 +83,7 @@ class Pose:
 
     def harmonics(self, sh: F32) -> F64:
         """Rotate (R, K, 3) SH coefficients, so that colours turn with the splats."""
-        degree = int(sh.shape[1] ** 0.5) - 1
-        rng = np.random.default_rng(0)
-        directions = rng.normal(size=(8 * sh.shape[1], 3))
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        turned = basis(directions @ self.rotation, degree)  # in the splat's old frame: R^T d
-        matrix = np.linalg.lstsq(basis(directions, degree), turned, rcond=None)[0].round(12)
+        matrix = band_matrix(self.rotation, int(sh.shape[1] ** 0.5) - 1)
         result: F64 = np.einsum("jk,rkc->rjc", matrix, sh.astype(np.float64))
         return result
 

@@ -42,6 +42,21 @@ def basis(directions: F64, degree: int) -> F64:
     return values
 
 
+def band_matrix(turn: F64, degree: int) -> F64:
+    """Compute the (K, K) matrix that maps coefficients to those of a turned or mirrored model.
+
+    Args:
+        turn: (3, 3) float64, orthonormal, from old to new coordinates.
+        degree: Highest degree, 0 or more; K is (degree + 1)².
+    """
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(8 * (degree + 1) ** 2, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    before = basis(directions @ turn, degree)  # the same directions in old coordinates
+    solved = np.linalg.lstsq(basis(directions, degree), before, rcond=None)[0]
+    return np.asarray(solved, np.float64).round(12)
+
+
 def lobe(axes: F64, degree: int, width: float) -> F64:
     """Compute the coefficients of a smooth highlight that peaks at 1 when seen along an axis.
 
