@@ -23,6 +23,7 @@ import zstandard
 from PIL import Image
 
 import ksplatfiles
+import lcc2files
 import lccfiles
 import radfiles
 import sogfiles
@@ -77,7 +78,7 @@ def damage_first_file(rng, files):
 
 def whole_json(rng, files):
     """Damage values of the first JSON file."""
-    name = next(name for name in files if name.endswith((".json", ".lcc")))
+    name = next(name for name in files if name.endswith((".json", ".lcc", ".lcc2")))
     return files | {name: changed_json(rng, files[name])}
 
 
@@ -471,6 +472,17 @@ def _lccs():
     ]
 
 
+def _lcc2s():
+    """Make models of both formats of files, with older and newer names of fields."""
+    found = []
+    for kind, old, sky in ((".sog", False, 4), (".spz", False, 0), (".sog", True, 3)):
+        with tempfile.TemporaryDirectory() as folder:
+            rng = np.random.default_rng(11)
+            path, _ = lcc2files.model(Path(folder), rng, kind, old=old, environment=sky)
+            found.append(files_of(path))
+    return found
+
+
 def index_of_lcc(rng, files):
     """Damage a byte of the cells' counts, offsets or sizes."""
     damaged = bytearray(files["index.bin"])
@@ -497,6 +509,7 @@ FORMATS = {
     ".rad": (_rads, [damage_any_file, inside_rad, inside_rad, inside_rad]),
     ".rad and .radc": (_chunked_rads, [damage_any_file, one_missing]),
     ".lcc": (_lccs, [damage_any_file, whole_json, index_of_lcc, one_missing]),
+    ".lcc2": (_lcc2s, [damage_any_file, damage_first_file, whole_json, whole_json, one_missing]),
     ".sog": (_bundles, [damage_any_file, inside_zip, inside_zip]),
     "SOG v1, folder": (_sogs_1, [damage_any_file, whole_json, one_texture, one_missing]),
     "SOG v2, folder": (

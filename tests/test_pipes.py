@@ -177,7 +177,7 @@ def test_wrong_uses_of_pipes_are_refused(scene, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["meta.json", "lod-meta.json", "tileset.json", "lcc"])
+@pytest.mark.parametrize("name", ["meta.json", "lod-meta.json", "tileset.json", "lcc", "lcc2"])
 def test_the_manifest_of_a_folder_cannot_be_piped(name):
     result = run("info", "-", "--from", name, data=b"{}")
     assert_refused(result, f"A {name} refers to other files", "name the file instead of -")

@@ -129,7 +129,7 @@ def test_file_names_from_urls_are_unquoted(host, temporary, tmp_path):
 def test_a_sog_folder_is_downloaded_through_its_meta_json(folder, host, temporary):
     info = json.loads(run_checked("info", f"{host}/sog/meta.json{QUERY}", "--json").stdout)
     assert info["file_bytes"] == sum(each.stat().st_size for each in (folder / "sog").iterdir())
-    for name in ("lod-meta.json", "tileset.json", "levels.json", "scan.lcc"):
+    for name in ("lod-meta.json", "tileset.json", "levels.json", "scan.lcc", "meta.lcc2"):
         assert_refused(
             launch.run("info", f"{host}/{name}"), f"{host}/{name}", "download the whole folder"
         )

@@ -63,7 +63,7 @@ def parse_direction(text: str) -> Direction:
 
 MOST_PROCESSES = 1024  # on this machine; more are a slip of the keyboard
 # What --level chooses a level of, in helps.
-OF_LEVELS = "a model that holds several (lod-meta.json, tileset.json, .ssog, .rad, .lcc)"
+OF_LEVELS = "a model that holds several (lod-meta.json, tileset.json, .ssog, .rad, .lcc, .lcc2)"
 _LEAST_MEMORY = 10**6  # bytes; a smaller number was meant in another unit
 
 

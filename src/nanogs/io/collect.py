@@ -12,7 +12,7 @@ from nanogs.io.urls import Address
 from nanogs.paths import exists, is_file, is_folder
 
 # Manifests: a folder with one of these is a single model.
-WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, "meta.json")
+WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, "meta.json", "meta.lcc2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +27,9 @@ def collect(paths: Iterable[Path]) -> list[Path]:
     """Expand folders and patterns to the files they mean; files are returned unchanged.
 
     A folder is replaced by the models directly in it that are not hidden, or by its manifest if it
-    is a SOG model, a streamed SOG model or 3D Tiles; a pattern (`*`, `?`, `[...]`, `**`) that is
-    not the name of a file by everything that matches it, as in a shell. Each file is listed once,
-    in the order given and by name within a folder.
+    is a SOG model, a streamed SOG model, 3D Tiles or XGRIDS' LCC2; a pattern (`*`, `?`, `[...]`,
+    `**`) that is not the name of a file by everything that matches it, as in a shell. Each file is
+    listed once, in the order given and by name within a folder.
 
     Raises:
         FormatError: A folder holds no model.

@@ -13,11 +13,18 @@ from nanogs._types import F64
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size, reading
 
+_TRAILING_COMMA = re.compile(rb'("(?:[^"\\]++|\\.)*+"?)|,(?=\s*+[}\]])', re.DOTALL)
 _DEVICE = re.compile(r"(?i:con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³])")
 
 
-def parse(data: bytes, where: str) -> dict[str, Any]:
+def parse(data: bytes, where: str, *, trailing_commas: bool = False) -> dict[str, Any]:
     """Parse a JSON text and return its object as a `dict`.
+
+    Args:
+        data: The text.
+        where: Names it in error messages.
+        trailing_commas: Whether a comma may follow the last entry of an object or a list, as some
+            programs write it.
 
     Raises:
         FormatError: It is not JSON in UTF-8, or is not an object.
@@ -25,18 +32,21 @@ def parse(data: bytes, where: str) -> dict[str, Any]:
     try:
         value = json.loads(data.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
+        if trailing_commas:  # a text without them is parsed at once, which is faster
+            return parse(_TRAILING_COMMA.sub(rb"\1", data), where)
         raise FormatError(
             f"{where} is no JSON or is cut short ({error}); export or download the model again."
         ) from error
     return table(value, where)
 
 
-def read_json(path: Path, limit: int) -> dict[str, Any]:
+def read_json(path: Path, limit: int, *, trailing_commas: bool = False) -> dict[str, Any]:
     """Read a small JSON file and return its object as a `dict`.
 
     Args:
         path: The file.
         limit: Largest allowed size in bytes.
+        trailing_commas: As for `parse`.
 
     Raises:
         FormatError: It cannot be read, is larger, or is not a JSON object.
@@ -44,7 +54,7 @@ def read_json(path: Path, limit: int) -> dict[str, Any]:
     if input_size(path) > limit:
         raise refused(str(path), f"is too large for what it should hold, with over {limit:,} bytes")
     with reading(path) as file:
-        return parse(file.read(limit), str(path))
+        return parse(file.read(limit), str(path), trailing_commas=trailing_commas)
 
 
 def table(value: object, where: str) -> dict[str, Any]:

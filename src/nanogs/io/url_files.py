@@ -22,7 +22,7 @@ TransferProgress = Callable[[str], AbstractContextManager[PartProgress]]
 """Context manager of the stage "fetch" or "send"; yields a callback for the bytes transferred."""
 # Manifests whose model cannot be downloaded file by file: their files name further files, or have
 # to be there before the manifest can be opened.
-MANIFESTS = (registry.LEVELS, registry.TILESET, registry.LEVEL_LIST, ".lcc")
+MANIFESTS = (registry.LEVELS, registry.TILESET, registry.LEVEL_LIST, ".lcc", ".lcc2")
 
 
 def no_transfer_progress(_stage: str) -> AbstractContextManager[PartProgress]:

@@ -27,9 +27,9 @@ from nanogs.io.generator import read_own
 from nanogs.io.gltf import read as gltf
 from nanogs.io.gltf.scene import Z_UP
 from nanogs.io.info import FileInfo
+from nanogs.io.joined import common_mode, joined_info, mode_notes
 from nanogs.io.json_fields import numbers, read_json, referenced_path, refused, rows, table
 from nanogs.io.parts import FileSource, Whole, check_level, level_note
-from nanogs.io.sog.levels import common_mode, joined_info, mode_notes
 from nanogs.place import text_of
 from nanogs.source import joined_rows
 from nanogs.splats import Splats

@@ -36,7 +36,8 @@ ROW = np.dtype([
 SH_ROW = np.dtype([("sh", "<u4", 15), ("rest", "<u4")])
 _MAX_JSON = 4 << 20
 _MAX_INDEX = 64 << 20  # bytes; with five levels, a cell of some metres takes 84 bytes
-_MAX_LEVELS = 64
+MAX_LEVELS = 64
+FRAME = "rfu"
 _AGAIN = "export or download the model again."
 
 
@@ -84,7 +85,7 @@ class Model:
     def __init__(self, path: Path) -> None:
         self.path = path
         data = read_json(path, _MAX_JSON)
-        depth = integer(data.get("totalLevel"), f"{path}, totalLevel", 1, _MAX_LEVELS)
+        depth = integer(data.get("totalLevel"), f"{path}, totalLevel", 1, MAX_LEVELS)
         stated = rows(data.get("splats"), f"{path}, splats", depth)
         self.counts = [integer(count, f"{path}, splats", 0) for count in stated]
         attributes = _attributes(data, path)

@@ -21,12 +21,11 @@ from nanogs.findings import Finding
 from nanogs.frames import TRAINED, change_frame
 from nanogs.io.files import input_size
 from nanogs.io.info import FileInfo
-from nanogs.io.lcc.header import DATA, ENVIRONMENT, HARMONICS, ROW, SH_ROW, Model, Ranges
+from nanogs.io.lcc.header import DATA, ENVIRONMENT, FRAME, HARMONICS, ROW, SH_ROW, Model, Ranges
 from nanogs.io.parts import FileSource, check_level, row_blocks
 from nanogs.io.rotations import whole_quats
 from nanogs.splats import Splats, empty_arrays
 
-_FRAME = "rfu"
 _TYPES = {"mean": "float", "rgba": "uchar", "scale": "ushort", "quat": "uint", "normal": "ushort"}
 _NORMALS = "The normals of {:splat|splats} were left out, because their encoding is not known."
 
@@ -87,7 +86,7 @@ class LccLevel(FileSource):
             for ranges, block, sh in self._blocks(start, stop):
                 part = {name: array[at : at + len(block)] for name, array in out.items()}
                 _decode(block, sh, ranges, part)
-                turned = change_frame(Splats(**part), _FRAME, TRAINED)
+                turned = change_frame(Splats(**part), FRAME, TRAINED)
                 for name, rows in part.items():
                     rows[:] = getattr(turned, name)
                 normals += int(block["normal"].any(axis=1).sum())

@@ -8,26 +8,23 @@ names one more model, with the sky and everything far away: viewers draw all of 
 and so it is read as the last rows of each.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from nanogs._types import Array
 from nanogs.errors import FormatError
-from nanogs.findings import join_findings
 from nanogs.formatting import counted
 from nanogs.io.container import Bundle
 from nanogs.io.files import input_size, reading
 from nanogs.io.info import FileInfo
+from nanogs.io.joined import JoinedPacked, joined_info
 from nanogs.io.json_fields import integer, is_plain, parse, read_json, refused, rows, table
-from nanogs.io.parts import Column, ColumnReader, Packed, check_level
+from nanogs.io.parts import check_level
 from nanogs.io.registry import LEVELS
 from nanogs.io.sog.meta import MAX_COUNT, is_manifest
 from nanogs.io.sog.read import META, SogSource
-from nanogs.splats import RenderMode, Splats, empty_arrays, padded
 
 # Parsed JSON takes up to 25 times the size of its text in memory; a leaf has some 500 bytes for
 # 10 K splats or more.
@@ -219,45 +216,6 @@ def _opened(piece: Piece) -> SogSource:
     return source
 
 
-def joined_info(path: Path, kind: str, infos: Sequence[FileInfo], splats: int) -> FileInfo:
-    """Join the metadata of the models of a level.
-
-    Args:
-        path: The manifest.
-        kind: Name of the format.
-        infos: Metadata of each model.
-        splats: Number of splats of the level.
-    """
-    modes = {info.render_mode for info in infos}
-    first = max(infos, key=lambda info: info.sh_degree)
-    return replace(
-        first,
-        path=path,
-        format=kind,
-        file_bytes=input_size(path) + sum(info.file_bytes for info in infos),
-        splats=splats,
-        render_tag=first.render_tag if len(modes) == 1 else "",
-        render_mode=common_mode(modes),
-        comments=tuple(dict.fromkeys(line for info in infos for line in info.comments)),
-    )
-
-
-def common_mode(modes: set[RenderMode]) -> RenderMode:
-    """Return the render mode that all models have, or the default: a scene can have only one."""
-    return modes.pop() if len(modes) == 1 else RenderMode.DEFAULT
-
-
-def mode_notes(modes: set[RenderMode]) -> list[str]:
-    """Return a note for the user if models that make one scene have different render modes."""
-    if len(modes) < 2:
-        return []
-    note = (
-        f"Its parts have different render modes ({', '.join(sorted(modes))}), and all are taken for"
-        f" {common_mode(modes)}; `render_mode` sets another."
-    )
-    return [note]
-
-
 def open_level(path: Path, level: int = 0) -> "SogLevel":
     """Open a level of a `lod-meta.json`; 0 is the finest.
 
@@ -269,14 +227,12 @@ def open_level(path: Path, level: int = 0) -> "SogLevel":
     return SogLevel(path, manifest, manifest.pieces(path, level))
 
 
-class SogLevel(Packed):
+class SogLevel(JoinedPacked):
     """A level of a streamed SOG: the rows of its models, one model after another."""
 
     def __init__(self, path: Path, manifest: Levels, pieces: Sequence[Piece]) -> None:
-        super().__init__(path)
+        super().__init__(path, (piece.count for piece in pieces))
         self._manifest, self._pieces = manifest, pieces
-        self._ends = [0, *accumulate(piece.count for piece in pieces)]
-        self.count = self._ends[-1]
 
     @cached_property
     def _models(self) -> list[SogSource]:
@@ -308,42 +264,3 @@ class SogLevel(Packed):
         """Number of splats that belong to every level; see `FileSource`."""
         found = self._manifest.environment
         return found.count if found else 0
-
-    @cached_property
-    def stored(self) -> Mapping[str, Column]:
-        """The columns, one for each texture of each model; see `Packed`."""
-        return {
-            f"{number}:{name}": column
-            for number, model in enumerate(self._models)
-            for name, column in model.stored.items()
-        }
-
-    @cached_property
-    def memory(self) -> int:
-        """Bytes of memory for decoding the largest texture of all models."""
-        return max(model.memory for model in self._models)
-
-    def unpack(self, notes: list[str]) -> Iterator[Array]:
-        """Decode all textures of each model; see `Packed.unpack`."""
-        for model in self._models:
-            yield from model.unpack(notes)
-
-    def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
-        """Decode rows `start` to `stop`, which may be in several models; see `Packed.decode`."""
-        out = empty_arrays(stop - start, self.info.sh_degree)
-        spans = zip(self._models, pairwise(self._ends), strict=True)
-        for number, (model, (first, end)) in enumerate(spans):
-            low, high = max(start, first), min(stop, end)
-            if low < high:
-
-                def own(name: str, a: int, b: int, number: int = number) -> Array:
-                    return columns(f"{number}:{name}", a, b)
-
-                part = model.decode(own, low - first, high - first)
-                for name, array in out.items():
-                    column = getattr(part, name)
-                    column = padded(column, out["sh"].shape[1]) if name == "sh" else column
-                    array[low - start : high - start] = column
-        modes = mode_notes({model.info.render_mode for model in self._models})
-        notes = join_findings([*(model.meta.notes for model in self._models), modes])
-        return Splats(**out, render_mode=self.info.render_mode, notes=notes)
