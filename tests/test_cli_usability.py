@@ -57,6 +57,7 @@ def test_every_error_about_an_unknown_name_suggests_one(tmp_path):
         ("a.usdz", "usdcat"),
         ("a.USD", "usdcat"),
         ("a.ssproj", "export a .ply file"),
+        ("grid.mjs", "run this script with splat-transform, into a .ply file"),
         ("a.ply.gz", "gunzip"),
         ("a.zip", "rename it to .sog if"),
     ):  # another suffix alone would not make them readable
@@ -138,6 +139,16 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
     [
         (("simplify", "a", "b", "--raito", "1"), "no option --raito (did you mean '--ratio'?)"),
         (("lod", "a", "b", "--ratio", "1"), "no option --ratio (did you mean '--levels'?)"),
+        (("convert", "a", "b", "--ratio", "1"), "no option --ratio (`nanogs simplify` has it)"),
+        (("convert", "a", "b", "--join"), "no option --join (`nanogs simplify` has it)"),
+        (("convert", "a", "b", "-d", "50%"), "no option -d (`nanogs simplify` has --ratio)"),
+        (("simplify", "a", "b", "-d", "50%"), "no option -d (did you mean '--ratio'?)"),
+        (("convert", "a", "b", "-t", "0,0,1"), "no option -t (did you mean '--translate'?)"),
+        (
+            ("convert", "a", "b", "--filter-box", "1"),
+            "no option --filter-box (did you mean '--crop'",
+        ),
+        (("lod", "a", "b", "--lod-chunk-count", "16"), "--lod-chunk-count (did you mean '--chunk'"),
         (("simplify", "a", "b", "--max-memory", "lots"), "--max-memory lots: The size must be"),
         (("simplify", "a", "b", "--zzz"), "no option --zzz; `nanogs simplify --help` lists them"),
         (("simplfy", "a"), "no command simplfy (did you mean 'simplify'?); `nanogs --help`"),

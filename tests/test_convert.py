@@ -125,6 +125,12 @@ def test_bad_input_and_output_are_refused(scene, tmp_path):
     assert_refused(run(scene, tmp_path / "a.glb"), tmp_path, "cut short")
 
 
+@pytest.mark.parametrize("name", ["view.png", "view.WEBP", "a.b.jpg"])
+def test_pictures_are_refused_with_the_command_that_makes_them(scene, tmp_path, name):
+    message = f"{tmp_path / name} names a picture; make pictures with `nanogs render`."
+    assert_refused(run(scene, tmp_path / name), tmp_path, message)
+
+
 def test_splats_that_the_format_cannot_hold_are_refused(scene, tmp_path):
     model = nanogs.load(scene)
     model.means[7] = np.nan

@@ -129,7 +129,10 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
         (["b.ply", "-r", "0.1", "--threads", "5000"], ["error: --threads must be from 1 to"]),
         (["b.ply", "--size", "2", "MB"], ["MB is a unit, not a file", "one word, as in 2MB"]),
         (["b.ply", "-r", "10", "%"], ["% is a unit", "as in 10%"]),
-        (["b", "c", "d", "-n", "1"], ["4 paths were given without --out-dir"]),
+        (
+            ["b", "c", "d", "-n", "1"],
+            ["4 paths were given without --out-dir", "simplify A B OUT --join"],
+        ),
         ([], ["OUT is missing", "a.ply"]),
         (["-r", "0.1"], ["OUT is missing", "a.ply"]),
     ],

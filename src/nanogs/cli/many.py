@@ -80,7 +80,7 @@ def plan_pairs(paths: list[Path], files: Files) -> list[Pair]:
     if len(paths) != 2:
         raise OptionError(
             f"{len(paths)} paths were given without --out-dir; give IN and OUT, or several inputs"
-            " and --out-dir FOLDER."
+            " and --out-dir FOLDER; `nanogs simplify A B OUT --join` makes one scene of several."
         )
     return [Pair(model_in(paths[0]), paths[1])]
 

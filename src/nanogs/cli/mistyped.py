@@ -16,8 +16,16 @@ _TAKES = (
     ("greater than or equal|not in the range", "a larger number"),
     ("less than or equal", "a smaller number"),
 )
-# Options of other commands, and the one to use in a command that has it.
-_INSTEAD = {"--ratio": "--levels", "--count": "--levels"}
+# Options of other commands and of splat-transform, and the one to use in a command that has it.
+_INSTEAD = {
+    "--ratio": "--levels", "--count": "--levels", "-t": "--translate", "-r": "--rotate",
+    "-s": "--scale", "-H": "--sh-degree", "--filter-harmonics": "--sh-degree", "-N": "--drop-nan",
+    "-B": "--crop", "--filter-box": "--crop", "-S": "--crop", "--filter-sphere": "--crop",
+    "-d": "--ratio", "--decimate": "--ratio", "--decimate-adaptive": "--ratio",
+    "-F": "--drop-floaters", "-L": "--level", "--select-lod": "--level",
+    "--lod-chunk-count": "--chunk", "-g": "--device", "--gpu": "--device",
+    "--max-workers": "--threads", "--resolution": "--pixels", "-v": "--version",
+}  # fmt: skip
 
 
 def is_usage(error: Exception) -> bool:
@@ -55,10 +63,19 @@ def _unknown_option(error: Any) -> str:  # noqa: ANN401
 def _meant(option: str, context: Any) -> str:  # noqa: ANN401
     if context is None:
         return ""
-    known = {name for param in context.command.params for name in param.opts}
-    if (instead := _INSTEAD.get(option)) in known:
+    known, instead = _options(context.command), _INSTEAD.get(option)
+    if instead in known:
         return f" (did you mean {instead!r}?)"
+    siblings = getattr(context.parent, "command", None)
+    for wanted, called in ((option, "it"), (instead, instead)):
+        for name, command in getattr(siblings, "commands", {}).items():
+            if wanted in _options(command):
+                return f" (`nanogs {name}` has {called})"
     return did_you_mean(option, known | {"--help"})
+
+
+def _options(command: Any) -> set[str]:  # noqa: ANN401
+    return {name for param in command.params for name in param.opts}
 
 
 def _unknown_command(message: str, context: Any) -> str:  # noqa: ANN401
