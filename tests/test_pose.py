@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from nanogs.pose import pose_of_options
 from nanogs.raster.rendering import render
 from nanogs.source import InMemory, Posed
 from nanogs.views.automatic import automatic_cameras
+from npm_packages import splat_transform
 from strategies import assert_same
 
 ANGLES = st.tuples(*[st.floats(-360, 360)] * 3)
@@ -158,3 +160,22 @@ def test_the_command_refuses_what_are_no_three_numbers(tmp_path):
         done = run_command("convert", tmp_path / "a.ply", tmp_path / "b.ply", "--rotate", text)
         assert done.returncode == 2
         assert message in done.stderr
+
+
+def test_the_guide_shows_what_equals_the_actions_of_splat_transform(tmp_path):
+    """Pairs of commands in docs/guide/convert.md, of which each writes the same model."""
+    guide = (Path(__file__).parents[1] / "docs" / "guide" / "convert.md").read_text()
+    section = guide.split("### As with splat-transform")[1].split("```")[1]
+    commands = [line.split()[2:] for line in section.splitlines() if line.startswith("$ ")]
+    model = random_splats(300, degree=3, spread=9)
+    nanogs.save(model, tmp_path / "a.ply")
+    for theirs, ours in zip(commands[::2], commands[1::2], strict=True):
+        splat_transform(*(tmp_path / each if each.endswith(".ply") else each for each in theirs))
+        expected = nanogs.load(tmp_path / "b.ply")
+        assert len(expected) > 0
+        assert run_command(*ours, "-w", "-q", cwd=tmp_path).returncode == 0
+        found = nanogs.load(tmp_path / "b.ply")
+        assert len(found) == len(expected)
+        for name in ("means", "log_scales", "sh"):
+            assert np.allclose(getattr(found, name), getattr(expected, name), atol=1e-5)
+        assert np.allclose(found.unit_quats(), expected.unit_quats(), atol=1e-6)
