@@ -139,6 +139,11 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
     [
         (("simplify", "a", "b", "--raito", "1"), "no option --raito (did you mean '--ratio'?)"),
         (("lod", "a", "b", "--ratio", "1"), "no option --ratio (did you mean '--levels'?)"),
+        (
+            ("-w", "convert", "a", "b"),
+            "no option -w before the command, only after it; `nanogs --help`",
+        ),
+        (("a.ply", "b.spz"), "no command a.ply; name one first, as in `nanogs convert a.ply OUT`"),
         (("convert", "a", "b", "--ratio", "1"), "no option --ratio (`nanogs simplify` has it)"),
         (("convert", "a", "b", "--join"), "no option --join (`nanogs simplify` has it)"),
         (("convert", "a", "b", "-d", "50%"), "no option -d (`nanogs simplify` has --ratio)"),

@@ -66,11 +66,13 @@ def _meant(option: str, context: Any) -> str:  # noqa: ANN401
     known, instead = _options(context.command), _INSTEAD.get(option)
     if instead in known:
         return f" (did you mean {instead!r}?)"
-    siblings = getattr(context.parent, "command", None)
+    commands = getattr((context.parent or context).command, "commands", {})
+    having = {one: name for name in reversed(commands) for one in _options(commands[name])}
+    if option in having and not context.parent:
+        return " before the command, only after it"
     for wanted, called in ((option, "it"), (instead, instead)):
-        for name, command in getattr(siblings, "commands", {}).items():
-            if wanted in _options(command):
-                return f" (`nanogs {name}` has {called})"
+        if wanted in having and context.parent:
+            return f" (`nanogs {having[wanted]}` has {called})"
     return did_you_mean(option, known | {"--help"})
 
 
@@ -81,6 +83,8 @@ def _options(command: Any) -> set[str]:  # noqa: ANN401
 def _unknown_command(message: str, context: Any) -> str:  # noqa: ANN401
     typed = message.split("'")[1] if message.count("'") > 1 else ""
     known = getattr(context.command, "commands", {}) if context else {}
+    if "." in typed:
+        return f"There is no command {typed}; name one first, as in `nanogs convert {typed} OUT`"
     return f"There is no command {typed}{did_you_mean(typed, known)}"
 
 
