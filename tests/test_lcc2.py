@@ -146,15 +146,23 @@ def test_the_environment_may_be_missing(scene):
 def test_files_without_stated_counts_are_read_whole(scene):
     expected = io.load(scene)
     fine = [lcc2files.node(0, None), lcc2files.node(0, 20), lcc2files.node(2, None)]
-    tree_of(scene, [{"child": fine}, lcc2files.node(1, 12)])
+    files = ["./a/0.sog", "a/1.sog", "b/./0.sog", "/env.sog"]
+    tree_of(scene, [{"child": fine}, lcc2files.node(1, 12)], splatFiles=files)
+    assert_same(io.load(scene), expected)
+
+
+def test_nodes_without_splats_and_of_the_environment_add_nothing(scene):
+    expected = io.load(scene)
+    fine = [lcc2files.node(index, count) for index, count in ((0, 30), (2, 9), (1, 0), (3, 4))]
+    tree_of(scene, [lcc2files.node(1, 12, fine)])
     assert_same(io.load(scene), expected)
 
 
 def test_extension_records_are_left_out_with_a_note(tmp_path):
     path, _ = lcc2files.model(tmp_path / "scan", np.random.default_rng(3), ".spz")
     element = ExtraElement("spz_record_12340001", np.frombuffer(b"hello", [("byte", "u1")]))
-    part = replace(random_splats(9, degree=1), elements=[element])
-    nanogs.save(part, path.parent / "b" / "0.spz", overwrite=True)
+    part = replace(random_splats(30, degree=1), elements=[element])
+    nanogs.save(part, path.parent / "a" / "0.spz", overwrite=True)
     note = "Extension records of its .spz files were left out: spz_record_12340001."
     assert io.load(path).notes == (note,)
     assert io.inspect(path).elements == ()

@@ -123,7 +123,8 @@ def read_octree(path: Path) -> Octree:
 
 def _file(path: Path, name: object, where: str, *, old: bool) -> Path:
     """Return the path of a file that the list names, which must be below the folder of `path`."""
-    parts = name.removeprefix("/").split("/") if isinstance(name, str) else []
+    text = name.removeprefix("/") if isinstance(name, str) else ""
+    parts = [part for part in text.split("/") if part != "."]
     if not parts or not all(map(is_plain, parts)):
         raise refused(where, "must name files below its own folder")
     file = path.parent.joinpath(*parts)
