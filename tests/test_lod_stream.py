@@ -183,6 +183,11 @@ def test_files_reach_the_minimum_beside_cells_that_are_too_large(counts, least):
     assert min(held, default=least) >= min(least, sum(counts))
 
 
+def test_a_small_file_is_joined_to_the_neighbour_that_stays_smaller():
+    assert streamed_sog._runs(np.array([49, 9, 39]), 40, 10) == [(0, 1), (1, 3)]
+    assert streamed_sog._runs(np.array([39, 9, 49]), 40, 10) == [(0, 2), (2, 3)]
+
+
 def test_boxes_are_rounded_outwards_and_hardly_further():
     rng = np.random.default_rng(0)
     box = rng.normal(size=(2, 1000)) * 10.0 ** rng.integers(-50, 38, (2, 1000))

@@ -229,8 +229,8 @@ def made_files(folder: Path) -> frozenset[str] | None:
 def _runs(counts: I64, most: int, least: int) -> list[tuple[int, int]]:
     """Group consecutive leaves into files of at most `most` splats; a larger leaf has its own.
 
-    A range with too few splats is combined with a neighbour: both are divided again, as evenly as
-    leaves allow, or become one file, if necessary a larger one.
+    A range with too few splats is combined with the neighbour that gives the smaller files: both
+    are divided again, as evenly as leaves allow, or become one file, if necessary a larger one.
 
     Args:
         counts: (L,) splats of each leaf.
@@ -254,10 +254,12 @@ def _runs(counts: I64, most: int, least: int) -> list[tuple[int, int]]:
         if held(runs[number]) >= least or len(runs) == 1:
             number += 1
             continue
-        pair = max(number - 1, 0)
-        (begin, _), (_, end) = runs[pair : pair + 2]
-        runs[pair : pair + 2] = _evened(before[begin : end + 1], begin, most, least)
-        number = pair
+        tried = {}
+        for pair in range(max(number - 1, 0), min(number + 1, len(runs) - 1)):
+            (begin, _), (_, end) = runs[pair : pair + 2]
+            tried[pair] = _evened(before[begin : end + 1], begin, most, least)
+        number = min(tried, key=lambda pair: max(map(held, tried[pair])))
+        runs[number : number + 2] = tried[number]
     return runs
 
 
