@@ -1,7 +1,6 @@
 """COLMAP's sparse models, binary or text."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,16 +68,7 @@ def scaled(camera: Camera, size: tuple[int, int], where: str) -> Camera:
             f" {camera.width}x{camera.height} of its camera; use the photographs that COLMAP was"
             " run on."
         )
-    across, down = size[0] / camera.width, size[1] / camera.height
-    return replace(
-        camera,
-        width=size[0],
-        height=size[1],
-        fx=camera.fx * across,
-        fy=camera.fy * down,
-        cx=camera.cx * across,
-        cy=camera.cy * down,
-    )
+    return camera.resized(*size)
 
 
 def _encoding(folder: Path) -> str | None:

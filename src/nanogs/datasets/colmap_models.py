@@ -1,6 +1,6 @@
 """COLMAP's camera models: pinhole intrinsics and lens distortion."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from nanogs.datasets import fields
 from nanogs.errors import FormatError
@@ -103,15 +103,14 @@ def lens_of(camera: ColmapCamera, where: str) -> Lens:
     if not model.known:  # with all parameters 0, every model but a fisheye is a pinhole
         return Lens(model.name, fisheye=model.fisheye, known=not any(values) and not model.fisheye)
     given = dict(zip(model.order, values, strict=True))
-    numerator = _FISHEYE if model.fisheye else ("k1", "k2", "k3")
-    lens = Lens(
+    above, below = (_FISHEYE, ()) if model.fisheye else (("k1", "k2", "k3"), ("k4", "k5", "k6"))
+    return Lens(
         model.name,
         fisheye=model.fisheye,
-        above=tuple(given.get(name, 0.0) for name in numerator),
+        above=tuple(given.get(name, 0.0) for name in above),
+        below=tuple(given.get(name, 0.0) for name in below),
         tangential=(given.get("p1", 0.0), given.get("p2", 0.0)),
     )
-    below = () if model.fisheye else tuple(given.get(name, 0.0) for name in ("k4", "k5", "k6"))
-    return replace(lens, below=below)
 
 
 def unknown_model(where: str, given: object) -> FormatError:
