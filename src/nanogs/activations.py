@@ -1,5 +1,6 @@
 """Conversion between stored values (logits, SH coefficients) and activated ones, in NumPy."""
 
+import math
 from typing import TypeVar
 
 import numpy as np
@@ -96,6 +97,16 @@ def rotations(quats: Floats) -> Floats:
     matrix[:, 2, 0] = 2 * (x * z - w * y)
     matrix[:, 2, 1] = 2 * (y * z + w * x)
     matrix[:, 2, 2] = 1 - 2 * (x * x + y * y)
+    return matrix
+
+
+def rotation_about(axis: int, angle: float) -> F64:
+    """Make the (3, 3) rotation by an angle, radians, counterclockwise about a coordinate axis."""
+    matrix = np.eye(3)
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    matrix[a, a] = matrix[b, b] = math.cos(angle)
+    matrix[b, a] = math.sin(angle)
+    matrix[a, b] = -matrix[b, a]
     return matrix
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from nanogs._types import F32, F64, Array, F
 from nanogs.activations import quaternions
 from nanogs.errors import OptionError
-from nanogs.pose import without_vertical_axis
+from nanogs.pose import normals_of, without_vertical_axis
 from nanogs.sh import band_matrix
 from nanogs.splats import RenderMode, Splats, refuse_other
 
@@ -32,7 +32,6 @@ FRAMES = frozenset(
     for axes in product("rl", "ud", "fb")
     for letters in permutations(axes)
 )  # fmt: skip
-_NORMALS = ("nx", "ny", "nz")
 
 
 class Change(NamedTuple):
@@ -199,12 +198,10 @@ def _turned_normals(splats: Splats, axes: list[int], signs: Array) -> dict[str, 
     Zeros, which most files have there, keep their sign, so that the result for a row does not
     depend on the rows it is read with.
     """
-    stored = [splats.extras.get(name) for name in _NORMALS]
-    if any(column is None or column.dtype.kind != "f" for column in stored):
-        return {}
-    turned = {}
-    for name, axis, sign in zip(_NORMALS, axes, signs, strict=True):
-        column = splats.extras[_NORMALS[axis]]
+    stored = normals_of(splats.extras)
+    columns, turned = list(stored.values()), {}
+    for place, name in enumerate(stored):
+        column, sign = columns[axes[place]], signs[place]
         with np.errstate(invalid="ignore"):  # signalling NaNs would warn
             turned[name] = np.where(column == 0, column, column * column.dtype.type(sign))
     return turned

@@ -14,6 +14,7 @@ from typing import Self
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.activations import rotation_about
 from nanogs.errors import OptionError
 from nanogs.formatting import exact_text
 from nanogs.ranges import is_number, value_text
@@ -84,7 +85,8 @@ class Place:
         matrix = np.eye(4)
         axes, matrix[:3, 3] = _tangent(self.longitude, self.latitude, self.height)
         heading, pitch, roll = np.deg2rad([self.heading, self.pitch, self.roll])
-        matrix[:3, :3] = axes @ _about(2, -heading) @ _about(1, -pitch) @ _about(0, roll)
+        level = axes @ rotation_about(2, -heading)
+        matrix[:3, :3] = level @ rotation_about(1, -pitch) @ rotation_about(0, roll)
         return matrix
 
     @classmethod
@@ -182,16 +184,6 @@ def _out_of_range(name: str, value: object, limit: float) -> str:
         f"The {name} of a place must be from -{limit:g} to {limit:g} {unit}, not"
         f" {value_text(value)}."
     )
-
-
-def _about(axis: int, angle: float) -> F64:
-    """Make the (3, 3) rotation by an angle, radians, counterclockwise about a coordinate axis."""
-    turn = np.eye(3)
-    a, b = (axis + 1) % 3, (axis + 2) % 3
-    turn[a, a] = turn[b, b] = math.cos(angle)
-    turn[b, a] = math.sin(angle)
-    turn[a, b] = -turn[b, a]
-    return turn
 
 
 def _tangent(longitude: float, latitude: float, height: float) -> tuple[F64, F64]:

@@ -1,19 +1,18 @@
 """Moving, turning and scaling splats, whose spherical harmonics turn with them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from nanogs._types import F32, F64, Array
-from nanogs.activations import quaternions, rotations
+from nanogs.activations import quaternions, rotation_about, rotations
 from nanogs.errors import OptionError
 from nanogs.ranges import is_number
 from nanogs.sh import band_matrix
 from nanogs.splats import Splats
 
-_NORMALS = ("nx", "ny", "nz")
 _ROUNDING = 1e-12  # entries of rotations this close to a whole number are one: quarter turns
 
 
@@ -112,14 +111,14 @@ class Pose:
             return tuple(comments)
         return without_vertical_axis(comments)
 
-    def _normals(self, extras: Any) -> dict[str, Array]:  # noqa: ANN401 - columns by name
-        """Return turned columns of normals; none if one of the three is missing or no float."""
-        given = [extras.get(name) for name in _NORMALS]
-        if any(column is None or column.dtype.kind != "f" for column in given):
+    def _normals(self, extras: Mapping[str, Array]) -> dict[str, Array]:
+        """Return turned columns of normals; see `normals_of`."""
+        if not (given := normals_of(extras)):
             return {}
-        turned = np.stack(given, axis=1).astype(np.float64) @ self.rotation.T
+        turned = np.stack(list(given.values()), axis=1).astype(np.float64) @ self.rotation.T
         return {
-            name: turned[:, axis].astype(given[axis].dtype) for axis, name in enumerate(_NORMALS)
+            name: turned[:, axis].astype(column.dtype)
+            for axis, (name, column) in enumerate(given.items())
         }
 
 
@@ -139,18 +138,20 @@ def pose_of_options(
     """
     if not (is_number(scale) and np.isfinite(scale) and scale > 0):
         raise OptionError(f"The scale must be a number above 0, not {scale!r}.")
-    angles = np.radians(_three("rotation", rotate))
     turn = np.eye(3)
-    for axis, (cosine, sine) in enumerate(zip(np.cos(angles), np.sin(angles), strict=True)):
-        first, second = (axis + 1) % 3, (axis + 2) % 3
-        step = np.eye(3)
-        step[first, first] = step[second, second] = cosine
-        step[first, second], step[second, first] = -sine, sine
-        turn = step @ turn
+    for axis, angle in enumerate(np.radians(_three("rotation", rotate))):
+        turn = rotation_about(axis, angle) @ turn
     whole = turn.round()
     turn = np.where(np.abs(turn - whole) < _ROUNDING, whole, turn)
     pose = Pose(turn, np.full(3, float(scale)), _three("translation", translate))
     return None if pose.is_identity() else pose
+
+
+def normals_of(extras: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the three columns of normals; none if one of them is missing or no float."""
+    found = {name: extras[name] for name in ("nx", "ny", "nz") if name in extras}
+    whole = len(found) == 3 and all(column.dtype.kind == "f" for column in found.values())
+    return found if whole else {}
 
 
 def without_vertical_axis(comments: Iterable[str]) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64, I64, Bool
+from nanogs.activations import rotation_about
 from nanogs.views.occupancy import Core, SplatSample, build_grid, capped, quantiles
 from nanogs.views.poses import level_frame, look_along, low_discrepancy, view_hits
 
@@ -63,9 +64,8 @@ def fit_box(sampled: SplatSample, core: Core, up: F64) -> Box:
     frame = level_frame(up)
     boxes = []
     for angle in np.arange(TURNS) * (np.pi / 2 / TURNS):
-        turn = np.eye(3)
-        turn[:2, :2] = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-        boxes.append(_box(sampled.points[rows], areas, turn @ frame))
+        turned = rotation_about(2, -angle) @ frame
+        boxes.append(_box(sampled.points[rows], areas, turned))
     return max(boxes, key=lambda box: float(box.faces.sum()))
 
 
