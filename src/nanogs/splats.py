@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 MAX_SH_DEGREE = 4
-
-
-_COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
+COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
 class RenderMode(StrEnum):
@@ -122,7 +120,7 @@ class Splats:
 
     def __post_init__(self) -> None:
         """Convert the arguments to arrays, freeze the containers, and check the shapes."""
-        for name in _COLUMNS:
+        for name in COLUMNS:
             array = as_floats(name, getattr(self, name), double=name == "means")
             if name == "opacity_logits" and array.shape[1:] == (1,):
                 array = array[:, 0]  # the shape that trainers use
@@ -153,16 +151,10 @@ class Splats:
         n = len(self.means) if self.means.ndim else 0
         if self.means.shape != (n, 3):
             raise ModelError(f"means must be (N, 3), not {self.means.shape}.")
-        shapes = {
-            "log_scales": (n, 3),
-            "quats": (n, 4),
-            "opacity_logits": (n,),
-            "sh": (n, (self.sh_degree + 1) ** 2, 3),
-        }
-        for name, shape in shapes.items():
+        for name, shape in row_shapes(self.sh_degree).items():
             given = getattr(self, name).shape
-            if given != shape:
-                raise ModelError(f"{name} must be {shape} like means, not {given}.")
+            if given != (n, *shape):
+                raise ModelError(f"{name} must be {(n, *shape)} like means, not {given}.")
         for name, column in self.extras.items():
             if column.shape != (n,):
                 raise ModelError(f"extra column {name!r} must be ({n},), not {column.shape}.")
@@ -288,7 +280,7 @@ class Splats:
             IndexError: The model has no such rows.
         """
         rows = as_rows(rows, len(self))
-        columns: dict[str, Any] = {name: pick(getattr(self, name), rows) for name in _COLUMNS}
+        columns: dict[str, Any] = {name: pick(getattr(self, name), rows) for name in COLUMNS}
         extras = {name: pick(column, rows) for name, column in self.extras.items()}
         return replace(self, **columns, extras=extras)
 
@@ -473,16 +465,15 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
     )
 
 
+def row_shapes(degree: int) -> dict[str, tuple[int, ...]]:
+    """Return the shape of a splat's entry in each array of `Splats`, by name, for an SH degree."""
+    return dict(zip(COLUMNS, ((3,), (3,), (4,), (), ((degree + 1) ** 2, 3)), strict=True))
+
+
 def empty_arrays(count: int, degree: int) -> dict[str, Any]:
     """Allocate the arrays of `Splats` by name, uninitialised, of `count` rows and an SH degree."""
-    shapes: dict[str, tuple[int, ...]] = {
-        "means": (3,),
-        "log_scales": (3,),
-        "quats": (4,),
-        "opacity_logits": (),
-        "sh": ((degree + 1) ** 2, 3),
-    }
-    return {name: np.empty((count, *shape), np.float32) for name, shape in shapes.items()}
+    shapes = row_shapes(degree).items()
+    return {name: np.empty((count, *shape), np.float32) for name, shape in shapes}
 
 
 def padded(sh: F32, coefficients: int) -> F32:

@@ -10,9 +10,8 @@ import numpy as np
 from nanogs._types import I32, I64, Array
 from nanogs.io.temporary import close_quietly, into_temporary
 from nanogs.source import InMemory, Layout, Source
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import COLUMNS, RenderMode, Splats
 
-_COLUMNS = ("means", "log_scales", "quats", "opacity_logits", "sh")
 _LEAST_ROWS, _MOST_BUCKETS = 1 << 12, 256
 
 
@@ -68,7 +67,7 @@ class _Sorted(Source):
         for block in self._source.blocks():
             rows = np.empty(len(block), self._dtype)
             rows["place"] = places[at : at + len(block)]
-            for name in _COLUMNS:
+            for name in COLUMNS:
                 rows[name] = getattr(block, name)
             buckets = rows["place"] // self._rows
             for bucket in np.unique(buckets):
@@ -109,10 +108,10 @@ class _Sorted(Source):
 
 def _columns(splats: Splats) -> list[tuple[str, Any, tuple[int, ...]]]:
     """Return name, dtype and shape of each column of a stored row."""
-    return [(n, getattr(splats, n).dtype, getattr(splats, n).shape[1:]) for n in _COLUMNS]
+    return [(n, getattr(splats, n).dtype, getattr(splats, n).shape[1:]) for n in COLUMNS]
 
 
 def _splats(rows: Array, columns: Layout) -> Splats:
     """Convert stored rows to `Splats`."""
-    found: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in _COLUMNS}
+    found: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in COLUMNS}
     return Splats(**found, render_mode=RenderMode(columns.render_mode))

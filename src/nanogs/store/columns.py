@@ -7,17 +7,16 @@ import numpy as np
 
 from nanogs._types import I64, Array
 from nanogs.source import Layout
-from nanogs.splats import RenderMode, Splats
+from nanogs.splats import COLUMNS, RenderMode, Splats, row_shapes
 from nanogs.store.tables import Record, Sorted, Table
 
-_OWN = ("means", "log_scales", "quats", "opacity_logits", "sh")
 _EXTRA = "extra:"
 CODES = "codes"
 
 
 def columns_of(splats: Splats) -> dict[str, Array]:
     """Return every column of the splats by name."""
-    own: dict[str, Array] = {name: getattr(splats, name) for name in _OWN}
+    own: dict[str, Array] = {name: getattr(splats, name) for name in COLUMNS}
     return own | {_EXTRA + name: column for name, column in splats.extras.items()}
 
 
@@ -34,11 +33,8 @@ def row_bytes(layout: Layout) -> int:
 def _kinds(layout: Layout) -> dict[str, tuple[str, tuple[int, ...]]]:
     """Return type and shape of a splat's entry in each column, by name."""
     kinds: dict[str, tuple[str, tuple[int, ...]]] = {
-        "means": ("<f8" if layout.double_means else "<f4", (3,)),
-        "log_scales": ("<f4", (3,)),
-        "quats": ("<f4", (4,)),
-        "opacity_logits": ("<f4", ()),
-        "sh": ("<f4", ((layout.sh_degree + 1) ** 2, 3)),
+        name: ("<f8" if layout.double_means and name == "means" else "<f4", shape)
+        for name, shape in row_shapes(layout.sh_degree).items()
     }
     return kinds | {_EXTRA + name: (kind, ()) for name, kind in layout.extras}
 
@@ -56,7 +52,7 @@ def no_splats(layout: Layout) -> Splats:
 
 def splats_of(columns: Mapping[str, Array], layout: Layout) -> Splats:
     """Make splats of columns, without copying them."""
-    own: dict[str, Any] = {name: columns[name] for name in _OWN}
+    own: dict[str, Any] = {name: columns[name] for name in COLUMNS}
     extras = {name: columns[_EXTRA + name] for name, _ in layout.extras}
     return Splats(
         **own,
