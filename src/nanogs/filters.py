@@ -185,9 +185,16 @@ def refuse_whole(filters: Sequence[Filter]) -> None:
             )
 
 
-# Numbers in the record of each kind of filter.
-_LENGTHS = {"box": 6, "sphere": 4, "within": 4, "beyond": 4}
-_LENGTHS |= {"opacity": 1, "finite": 0, "company": 2}
+# How many numbers the record of each kind of filter has, and what makes the filter of them.
+_KINDS: dict[str, tuple[int, Callable[[Sequence[float]], Filter]]] = {
+    "box": (6, lambda values: box(values[:3], values[3:])),
+    "sphere": (4, lambda values: sphere(values[:3], values[3])),
+    "within": (4, lambda values: within(values[:3], values[3])),
+    "beyond": (4, lambda values: beyond(values[:3], values[3])),
+    "opacity": (1, lambda values: opaque_enough(*values)),
+    "finite": (0, lambda _values: all_finite()),
+    "company": (2, lambda values: _in_company(*values)),
+}
 
 
 def filter_of(kind: str, values: Sequence[float]) -> Filter:
@@ -196,29 +203,14 @@ def filter_of(kind: str, values: Sequence[float]) -> Filter:
     Raises:
         OptionError: There is no such kind, or its numbers are invalid.
     """
-    length = _LENGTHS.get(kind) if isinstance(kind, str) else None
-    if length is None:
+    if not isinstance(kind, str) or kind not in _KINDS:
         raise OptionError(f"There is no filter {kind!r}.")
+    length, make = _KINDS[kind]
     if not (isinstance(values, Sequence) and len(values) == length and all(map(is_number, values))):
         raise OptionError(
             f"The filter {kind!r} is recorded as {counted(length, 'number')}, not {values!r}."
         )
-    if kind == "box":
-        return box(values[:3], values[3:])
-    if kind == "sphere":
-        return sphere(values[:3], values[3])
-    if kind == "within":
-        return within(values[:3], values[3])
-    if kind == "beyond":
-        return beyond(values[:3], values[3])
-    if kind == "opacity":
-        return opaque_enough(values[0])
-    if kind == "finite":
-        return all_finite()
-    neighbours = int(values[0]) if math.isfinite(values[0]) else 0
-    if neighbours != values[0]:
-        raise OptionError(f"The number of neighbours must be a whole number, not {values[0]!r}.")
-    return in_company(neighbours, values[1])
+    return make(values)
 
 
 def drop_nan(splats: Splats) -> Splats:
@@ -404,6 +396,12 @@ def in_company(neighbours: int = NEIGHBOURS, deviations: float = DEVIATIONS) -> 
         whole=True,
         plain=("company", (float(neighbours), float(deviations))),
     )
+
+
+def _in_company(neighbours: float, deviations: float) -> Filter:
+    """Make the filter from its record, which holds the number of neighbours as a float."""
+    whole = int(neighbours) if float(neighbours).is_integer() else neighbours
+    return in_company(whole, deviations)  # type: ignore[arg-type]  # which refuses others
 
 
 def _floaters(splats: Splats, neighbours: int, deviations: float) -> Bool:
