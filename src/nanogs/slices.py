@@ -1,7 +1,9 @@
 """Processing of rows in slices, so that temporary arrays take negligible memory."""
 
-from collections.abc import Iterator
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
 
+from nanogs._types import I64
 from nanogs.threads import most_threads
 
 SLICE = 1 << 13  # rows; few, because the allocator keeps the memory that each thread has freed
@@ -18,6 +20,17 @@ def slices(count: int, size: int = SLICE) -> Iterator[slice]:
     """Iterate over consecutive slices of `size` rows."""
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
+
+
+def overlapping(ends: Sequence[int] | I64, start: int, stop: int) -> Iterator[tuple[int, int, int]]:
+    """Yield each part that holds some of rows `start` to `stop`: its number, and their range in it.
+
+    `ends` has P + 1 entries, ascending: where each part begins, and the end of the last.
+    """
+    for number in range(bisect_right(ends, start) - 1, bisect_left(ends, stop)):
+        first, end = int(ends[number]), int(ends[number + 1])
+        if max(start, first) < min(stop, end):  # not for an empty part
+            yield number, max(start, first) - first, min(stop, end) - first
 
 
 def pairs_in_flight() -> int:

@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from pathlib import Path
 
 from nanogs._types import Array
@@ -12,6 +12,7 @@ from nanogs.findings import join_findings
 from nanogs.io.files import input_size
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Column, ColumnReader, Packed
+from nanogs.slices import overlapping
 from nanogs.splats import RenderMode, Splats, empty_arrays, padded
 
 
@@ -94,20 +95,19 @@ class JoinedPacked(Packed):
     def decode(self, columns: ColumnReader, start: int, stop: int) -> Splats:
         """Decode rows `start` to `stop`, which may be in several files; see `Packed.decode`."""
         out = empty_arrays(stop - start, self.info.sh_degree)
-        spans = zip(self._models, pairwise(self._ends), strict=True)
         notes: list[Sequence[str]] = []
-        for number, (model, (first, end)) in enumerate(spans):
-            low, high = max(start, first), min(stop, end)
-            if low < high:
+        at = 0
+        for number, low, high in overlapping(self._ends, start, stop):
 
-                def own(name: str, a: int, b: int, number: int = number) -> Array:
-                    return columns(f"{number}:{name}", a, b)
+            def own(name: str, a: int, b: int, number: int = number) -> Array:
+                return columns(f"{number}:{name}", a, b)
 
-                part = model.decode(own, low - first, high - first)
-                notes.append(part.notes)
-                for name, array in out.items():
-                    column = getattr(part, name)
-                    column = padded(column, out["sh"].shape[1]) if name == "sh" else column
-                    array[low - start : high - start] = column
+            part = self._models[number].decode(own, low, high)
+            notes.append(part.notes)
+            for name, array in out.items():
+                column = getattr(part, name)
+                column = padded(column, out["sh"].shape[1]) if name == "sh" else column
+                array[at : at + high - low] = column
+            at += high - low
         notes.append(mode_notes({model.info.render_mode for model in self._models}))
         return Splats(**out, render_mode=self.info.render_mode, notes=join_findings(notes))

@@ -18,6 +18,7 @@ from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
 from nanogs.lod.tree import COLUMNS, Moments, build, layers_of, refuse_many, units_of
 from nanogs.progress import PartProgress, ignore_progress
+from nanogs.slices import overlapping
 from nanogs.source import InMemory, Source
 from nanogs.source.base import joined_rows
 from nanogs.splats import Splats, concatenate
@@ -106,14 +107,9 @@ class TreeRows(Source):
 
     def _within(self, start: int, stop: int) -> list[tuple[_Run, int, int]]:
         """Return the runs that contain rows `start` to `stop`, each with a range of its rows."""
-        found = []
-        number = int(np.searchsorted(self._ends, start, side="right")) - 1
-        while start < stop:
-            run, end = self._runs[number], min(int(self._ends[number + 1]), stop)
-            low = run.start + start - int(self._ends[number])
-            found.append((run, low, low + end - start))
-            start, number = end, number + 1
-        return found
+        found = overlapping(self._ends, start, stop)
+        runs = ((self._runs[number], low, high) for number, low, high in found)
+        return [(run, run.start + low, run.start + high) for run, low, high in runs]
 
 
 def joined_trees(

@@ -19,6 +19,7 @@ from nanogs.filters import (
 )
 from nanogs.frames import change_between, change_frame, comments_in
 from nanogs.pose import Pose
+from nanogs.slices import overlapping
 from nanogs.source import base
 from nanogs.source.base import Source, joined_rows, refuse_no_source, span_of
 from nanogs.splats import ExtraElement, RenderMode, Splats, check_degree, refuse_misaligned
@@ -213,13 +214,11 @@ class Filtered(_Changed):
 
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop` of those left; see `Source.read`."""
-        first = int(np.searchsorted(self._ends, start, side="right")) - 1
-        last = max(int(np.searchsorted(self._ends, stop, side="left")), first + 1)
-        parts = []
-        for page in range(first, min(last, len(self._ends) - 1)):
-            at, end = self._ends[page : page + 2].tolist()
-            parts.append(span_of(self._page(page), max(start, at) - at, min(stop, end) - at))
-        return joined_rows(parts or [self._source.read(0, 0)])
+        parts = [
+            span_of(self._page(page), low, high)
+            for page, low, high in overlapping(self._ends, start, stop)
+        ]
+        return joined_rows(parts or [span_of(self._source.read(0, 0), 0, 0)])
 
     def _page(self, number: int) -> Splats:
         last = self._last  # once, because another thread may read another page

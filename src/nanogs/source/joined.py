@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import accumulate, pairwise
+from itertools import accumulate
 
 import numpy as np
 
 from nanogs.errors import ModelError, OptionError
 from nanogs.formatting import counted
+from nanogs.slices import overlapping
 from nanogs.source.base import Layout, Source, joined_rows, refuse_no_source
 from nanogs.splats import RenderMode, Splats, padded
 
@@ -37,11 +38,10 @@ class Joined(Source):
 
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop`; see `Source.read`."""
-        found = []
-        for part, (first, end) in zip(self._parts, pairwise(self._ends), strict=True):
-            low, high = max(start, first), min(stop, end)
-            if low < high:
-                found.append(fitted(part.read(low - first, high - first), self.columns))
+        found = [
+            fitted(self._parts[number].read(low, high), self.columns)
+            for number, low, high in overlapping(self._ends, start, stop)
+        ]
         return joined_rows(found or [fitted(self._parts[0].read(0, 0), self.columns)])
 
     def load(self) -> Splats:

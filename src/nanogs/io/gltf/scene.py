@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.activations import rotations
 from nanogs.errors import FormatError
 from nanogs.io.gltf.document import Document, JsonObject
 from nanogs.pose import Pose
@@ -102,12 +103,7 @@ def _local(node: JsonObject) -> F64:
         return node.numbers("matrix", _IDENTITY).reshape(4, 4).T
     x, y, z, w = node.numbers("rotation", (0.0, 0.0, 0.0, 1.0))
     matrix = np.eye(4)
-    matrix[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    matrix[:3, :3] *= node.numbers("scale", (1.0, 1.0, 1.0))
+    matrix[:3, :3] = rotations(np.array([[w, x, y, z]]))[0] * node.numbers("scale", (1.0, 1.0, 1.0))
     matrix[:3, 3] = node.numbers("translation", (0.0, 0.0, 0.0))
     return matrix
 

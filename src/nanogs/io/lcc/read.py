@@ -24,6 +24,7 @@ from nanogs.io.info import FileInfo
 from nanogs.io.lcc.header import DATA, ENVIRONMENT, FRAME, HARMONICS, ROW, SH_ROW, Model, Ranges
 from nanogs.io.parts import FileSource, check_level, row_blocks
 from nanogs.io.rotations import whole_quats
+from nanogs.slices import overlapping
 from nanogs.splats import Splats, empty_arrays
 
 _TYPES = {"mean": "float", "rgba": "uchar", "scale": "ushort", "quat": "uint", "normal": "ushort"}
@@ -96,13 +97,8 @@ class LccLevel(FileSource):
     def _blocks(self, start: int, stop: int) -> Iterator[tuple[Ranges, Array, Array | None]]:
         """Yield blocks of stored rows: the ranges of their codes, the rows, and their harmonics."""
         model, runs = self._model, self._runs
-        first = int(np.searchsorted(runs.ends, start, side="right")) - 1
-        for cell in range(first, len(runs.offsets)):
-            begin = int(runs.ends[cell])
-            low, high = max(start, begin), min(stop, int(runs.ends[cell + 1]))
-            if low >= high:
-                break
-            offset = int(runs.offsets[cell]) + (low - begin) * ROW.itemsize
+        for cell, low, high in overlapping(runs.ends, start, min(stop, runs.count)):
+            offset = int(runs.offsets[cell]) + low * ROW.itemsize
             plain = row_blocks(model.beside(DATA), ROW, offset, high - low)
             if not model.harmonics:
                 yield from ((model.ranges, block, None) for _, block in plain)

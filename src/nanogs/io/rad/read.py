@@ -7,7 +7,7 @@ Chunks are decoded separately and the last one is kept, so that rows can be read
 
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ from nanogs.io.rad.values import (
     type_name,
 )
 from nanogs.io.texts import printable
+from nanogs.slices import overlapping
 from nanogs.source import joined_rows, span_of
 from nanogs.splats import Splats, empty_arrays
 
@@ -123,11 +124,10 @@ class RadFile(FileSource):
 
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop`; see `Source`."""
-        parts = []
-        for number, (first, end) in enumerate(pairwise(self._ends)):
-            low, high = max(start, first), min(stop, end)
-            if low < high:
-                parts.append(span_of(self._chunk(number), low - first, high - first))
+        parts = [
+            span_of(self._chunk(number), low, high)
+            for number, low, high in overlapping(self._ends, start, stop)
+        ]
         return joined_rows(parts or [span_of(self._chunk(0), 0, 0)])
 
     def _chunk(self, number: int) -> Splats:

@@ -1,7 +1,7 @@
 """The splats that are left of each block, by level: the parts that results are assembled from."""
 
 from dataclasses import asdict
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +11,7 @@ from nanogs.frames import change_between, turned
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.options.settings import Settings, plain
 from nanogs.pipeline.scene import Task
+from nanogs.slices import overlapping
 from nanogs.sorting import stable_order
 from nanogs.source import Layout, Source
 from nanogs.splats import Splats, concatenate
@@ -55,12 +56,10 @@ class LevelSource(Source):
 
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop`; see `Source.read`."""
-        columns = empty_columns(self.columns, stop - start)
-        for record, (first, end) in zip(self._records, pairwise(self._ends), strict=True):
-            low, high = max(start, first), min(stop, end)
-            if low < high:
-                rows = slice(low - first, high - first)
-                read_rows(self._opened(record), columns, low - start, rows)
+        columns, at = empty_columns(self.columns, stop - start), 0
+        for number, low, high in overlapping(self._ends, start, stop):
+            read_rows(self._opened(self._records[number]), columns, at, slice(low, high))
+            at += high - low
         return splats_of(columns, self.columns)
 
     def _opened(self, record: Record) -> Table:
