@@ -8,7 +8,7 @@ import hashlib
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, BinaryIO, Self
 
@@ -63,8 +63,8 @@ class Record:
     """
 
     name: str
-    columns: Mapping[str, Column] = field(default_factory=dict)
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    columns: Mapping[str, Column]
+    facts: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)

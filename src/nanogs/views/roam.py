@@ -22,7 +22,6 @@ import numpy as np
 from nanogs._types import F64, Bool
 from nanogs.card.device import CPU, use_device
 from nanogs.errors import ModelError, OptionError
-from nanogs.progress import PartProgress, ignore_progress
 from nanogs.raster.camera import Camera
 from nanogs.raster.depths import light_by_depth
 from nanogs.raster.light import light_in_view
@@ -106,7 +105,6 @@ def roaming_cameras(
     fov: float | None = None,
     up: Sequence[float] | None = None,
     split: str = "fit",
-    on_progress: PartProgress = ignore_progress,
 ) -> list[Camera]:
     """Draw random cameras from the free space in which the model is visible, near and far.
 
@@ -123,7 +121,6 @@ def roaming_cameras(
             `up_frame.frame_from_model`).
         split: Name that seeds the random numbers: other names give other cameras. "test" is
             reserved for measuring results, so nothing may be fitted to it.
-        on_progress: Progress callback for the cameras found.
 
     Returns:
         At most `count` cameras named `fit_roam_000` and so on, after `split`: fewer if not enough
@@ -141,8 +138,7 @@ def roaming_cameras(
     with use_device(CPU):  # the rounding of another device can find other cameras
         known = _begin(scene, splats, up, split)
         for candidate in _candidates(scene, known, test_camera, split, TRIES * count):
-            if _accepts(scene, known, candidate):
-                on_progress(len(known.cameras), count)
+            _add_if_accepted(scene, known, candidate)
             if len(known.cameras) == count:
                 break
     if not known.cameras:
@@ -230,15 +226,12 @@ def _direction(height: float, turn: float) -> F64:
     return np.array([level * np.cos(angle), level * np.sin(angle), z])
 
 
-def _accepts(scene: Scene, known: SearchState, candidate: Candidate) -> bool:
-    """Test a candidate, and add its camera to the state if it passes; return whether it does."""
-    contributions = _shown(scene.splats, candidate)
-    camera = candidate.camera
-    if contributions is None or not known.free.has(camera, candidate.target):
-        return False
-    known.cameras.append(camera)
-    _add(known, camera.position, contributions)
-    return True
+def _add_if_accepted(scene: Scene, known: SearchState, candidate: Candidate) -> None:
+    """Test a candidate, and add its camera to the state if it passes."""
+    contributions, camera = _shown(scene.splats, candidate), candidate.camera
+    if contributions is not None and known.free.has(camera, candidate.target):
+        known.cameras.append(camera)
+        _add(known, camera.position, contributions)
 
 
 def _shown(splats: PreparedSplats, candidate: Candidate) -> F64 | None:

@@ -179,7 +179,7 @@ def _checked(path: Path) -> Header:
 class _Vertex:
     """The arrays of `Splats`, filled block by block from the vertex rows."""
 
-    def __init__(self, header: Header, *, rows: int | None = None) -> None:
+    def __init__(self, header: Header, *, rows: int) -> None:
         element = header.element("vertex")
         assert element is not None  # noqa: S101 - `_checked` made sure
         self.header, self.element = header, element
@@ -195,7 +195,7 @@ class _Vertex:
         self.overflowed: dict[tuple[str, int], int] = {}
         self.targets: dict[str, Array] = {}
         self.arrays: list[tuple[Sequence[str], Array]] = []  # each with the names of its columns
-        self._allocate(element.count if rows is None else rows)
+        self._allocate(rows)
 
     def _allocate(self, n: int) -> None:
         self.means = np.empty((n, 3), self.means_dtype)

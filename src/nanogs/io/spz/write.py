@@ -198,7 +198,7 @@ def check_holds_records(version: int, what: str) -> None:
         )
 
 
-def usual_version(bits: int = MOST_BITS, *, stating: bool = False) -> int:
+def usual_version(bits: int, *, stating: bool) -> int:
     """Return the default file version.
 
     Args:
@@ -242,7 +242,7 @@ def losses(
     return tuple(out)
 
 
-def clamped_colours(splats: Splats, range_of: str = SUFFIX) -> list[str]:
+def clamped_colours(splats: Splats, range_of: str) -> list[str]:
     """Return a sentence each if base colours, or higher SH coefficients, are clamped to a range."""
     colours, rest = splats.sh[:, 0], splats.sh[:, 1:]
     widest = 0.5 / COLOUR_SCALE
