@@ -15,7 +15,7 @@ from nanogs.io.models import Model
 from nanogs.io.parts import FileSource, Packed, Whole
 from nanogs.io.spz.header import LAST_GZIP, column_widths
 from nanogs.io.spz.packing import packing_bytes
-from nanogs.io.wrapper import file_of
+from nanogs.io.wrapper import unwrapped
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -75,7 +75,7 @@ def streaming_bytes(source: Source) -> tuple[int, int]:
     Returns:
         Bytes that are held throughout, and bytes that are held only before any splat is kept.
     """
-    source = file_of(source)
+    source = unwrapped(source)
     if isinstance(source, Packed):
         return _STREAMED, source.memory
     return _STREAMED + (_held(source) if isinstance(source, FileSource) else 0), 0
@@ -190,7 +190,7 @@ def info_bytes(source: FileSource) -> int:
 
 def _held(given: FileSource) -> int:
     """Estimate the bytes that streaming a source holds: all of a format that is only read whole."""
-    source = file_of(given)
+    source = unwrapped(given)
     if isinstance(source, Whole):
         return _read(source.info)
     return source.memory if isinstance(source, Packed) else 0

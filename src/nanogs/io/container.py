@@ -8,6 +8,7 @@ from typing import BinaryIO
 
 from nanogs.errors import FormatError
 from nanogs.io.files import input_size, reading
+from nanogs.io.json_fields import refused
 from nanogs.io.texts import reason
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -114,17 +115,7 @@ class Bundle(Folder):
         return entry
 
     def _error(self, name: str, what: str) -> FormatError:
-        return damaged(self.where(name), what)
-
-
-def damaged(where: str, what: str) -> FormatError:
-    """Build the error for a damaged file of a model.
-
-    Args:
-        where: The file, for the message.
-        what: The damage, which follows the file's name in the message.
-    """
-    return FormatError(f"{where} {what}; export or download the model again.")
+        return refused(self.where(name), what)
 
 
 def plain_entry(name: str) -> zipfile.ZipInfo:

@@ -128,5 +128,5 @@ def referenced_path(folder: Path, uri: object, where: str) -> Path:
 
 
 def refused(where: str, what: str) -> FormatError:
-    """Build the error for a field that violates the format."""
-    return FormatError(f"{where} {what}; export the model again.")
+    """Build the error for a field, or a file of a model, that violates the format."""
+    return FormatError(f"{where} {what}; export or download the model again.")

@@ -107,7 +107,7 @@ class Downloaded(SourceWrapper):
         self._remove()
 
 
-def file_of(source: Source) -> Source:
+def unwrapped(source: Source) -> Source:
     """Return the innermost wrapped file; other sources are returned unchanged."""
     while isinstance(source, SourceWrapper):
         source = source.file

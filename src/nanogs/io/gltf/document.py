@@ -14,7 +14,7 @@ import numpy as np
 
 from nanogs._types import F64
 from nanogs.errors import FormatError
-from nanogs.io.files import input_size, reading
+from nanogs.io.files import damaged, input_size, reading
 from nanogs.io.gltf.rows import Accessor
 from nanogs.io.json_fields import integer, numbers, referenced_path, refused, rows, table
 from nanogs.io.section import Section
@@ -25,7 +25,6 @@ DATA = "data:"
 _LONGEST_HEAD = 256  # bytes of a `data:` URI that are searched for its media type and comma
 _KINDS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-_AGAIN = "export or download it again."
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +43,7 @@ class JsonObject:
 
     def error(self, what: str) -> FormatError:
         """Return the error that this object is invalid."""
-        return FormatError(f"{self.path}: {self.where} {what}; {_AGAIN}")
+        return refused(f"{self.path}: {self.where}", what)
 
     def _at(self, key: str) -> str:
         return f"{self.path}: {self.where}.{key}"
@@ -267,11 +266,6 @@ def _decoded(buffer: JsonObject, uri: bytes) -> bytes:
         return base64.b64decode(payload.replace(b"\\/", b"/"), validate=True)
     except ValueError:
         raise buffer.error("has a data: URI that is damaged") from None
-
-
-def damaged(path: Path, what: str) -> FormatError:
-    """Return the error for a damaged file."""
-    return FormatError(f"{path}: {what}; {_AGAIN}")
 
 
 def check_length(path: Path, size: int) -> None:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from nanogs.errors import FormatError
-from nanogs.io.files import input_size, reading
-from nanogs.io.gltf.document import DATA, Document, SkippedUri, check_length, damaged, parsed
+from nanogs.io.files import damaged, input_size, reading
+from nanogs.io.gltf.document import DATA, Document, SkippedUri, check_length, parsed
 from nanogs.io.section import Section
 
 MAGIC = b"glTF"

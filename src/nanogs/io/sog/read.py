@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F32, U8, U16, Array
-from nanogs.io.container import Bundle, Folder, damaged
+from nanogs.io.container import Bundle, Folder
 from nanogs.io.files import check_expansion, input_size, reading, splat_bytes
 from nanogs.io.info import FileInfo
-from nanogs.io.json_fields import parse
+from nanogs.io.json_fields import parse, refused
 from nanogs.io.parts import Column, ColumnReader, Packed
 from nanogs.io.rotations import whole_quats
 from nanogs.io.sog.meta import (
@@ -77,7 +77,7 @@ class SogSource(Packed):
         with _opened(self.path, self._inside) as (container, name):
             where = container.where(name)
             if container.size(name) > MAX_META_BYTES:
-                raise damaged(where, "is too large for a description of textures")
+                raise refused(where, "is too large for a description of textures")
             return read_meta(parse(container.read(name, MAX_META_BYTES), where), where)
 
     @cached_property
@@ -179,7 +179,7 @@ class SogSource(Packed):
         if labels.max(initial=0) >= palette:
             with _opened(self.path, self._inside) as (container, _):
                 where = container.where(self.meta.files["shN_labels"])
-            raise damaged(where, f"names entries beyond the palette's {palette}")
+            raise refused(where, f"names entries beyond the palette's {palette}")
         entries = texture(_PALETTE).reshape(-1, coefficients, 3)
         if n < len(entries):  # decode only the entries that are used, which are fewer than all
             sh[:, 1:] = self.meta.sh_rest[entries[labels]]
@@ -207,7 +207,7 @@ def _sh_degree(container: Folder, meta: Meta) -> int:
     name = meta.files[_PALETTE]
     width, _ = size(container.read(name, HEAD_BYTES), container.where(name))
     if width not in _DEGREE_OF_WIDTH:
-        raise damaged(container.where(name), f"is {width} texels wide, not 192, 512 or 960")
+        raise refused(container.where(name), f"is {width} texels wide, not 192, 512 or 960")
     return _DEGREE_OF_WIDTH[width]
 
 
@@ -226,9 +226,9 @@ def _checked_sizes(container: Folder, meta: Meta, degree: int) -> dict[str, tupl
             # Writers pad textures to whole blocks, and some to powers of two.
             fits = meta.count <= width * height <= 4 * meta.count + HEAD_BYTES
         if not fits:
-            raise damaged(where, f"has {width} x {height} texels, which do not fit the model")
+            raise refused(where, f"has {width} x {height} texels, which do not fit the model")
         if container.size(name) > 5 * width * height + HEAD_BYTES:
-            raise damaged(where, "is larger than its texels can be")
+            raise refused(where, "is larger than its texels can be")
     return sizes
 
 

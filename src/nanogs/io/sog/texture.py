@@ -10,7 +10,7 @@ import struct
 import numpy as np
 
 from nanogs._types import U8
-from nanogs.io.container import damaged
+from nanogs.io.json_fields import refused
 from nanogs.io.texts import reason
 
 MAX_SIDE = 16_383  # largest width and height of WebP, 14 bits
@@ -47,7 +47,7 @@ def size(data: bytes, where: str) -> tuple[int, int]:
         FormatError: It is no WebP file, or a lossy or animated one.
     """
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
-        raise damaged(where, "is no WebP file")
+        raise refused(where, "is no WebP file")
     at, canvas = 12, None
     while at + 13 <= len(data):
         name, length = struct.unpack_from("<4sI", data, at)
@@ -65,11 +65,11 @@ def size(data: bytes, where: str) -> tuple[int, int]:
                 for place in (12, 15)
             )
         if name in (b"VP8 ", b"ALPH"):
-            raise damaged(where, "is a lossy WebP file, which changes the values")
+            raise refused(where, "is a lossy WebP file, which changes the values")
         if name == b"ANIM":
-            raise damaged(where, "is an animation")
+            raise refused(where, "is an animation")
         at += 8 + length + length % 2
-    raise damaged(where, "is a damaged WebP file")
+    raise refused(where, "is a damaged WebP file")
 
 
 def decode(data: bytes, where: str) -> U8:
@@ -90,7 +90,7 @@ def decode(data: bytes, where: str) -> U8:
         with WebPImageFile(io.BytesIO(data)) as image:
             texels = np.asarray(image.convert("RGBA"))
     except (OSError, ValueError, SyntaxError, EOFError, DecompressionBombError) as error:
-        raise damaged(where, f"cannot be decoded ({reason(error)})") from error
+        raise refused(where, f"cannot be decoded ({reason(error)})") from error
     if texels.shape != (height, width, 4):
-        raise damaged(where, "is a damaged WebP file")
+        raise refused(where, "is a damaged WebP file")
     return texels.reshape(-1, 4)
