@@ -15,7 +15,7 @@ from nanogs.activations import logit
 from nanogs.io.gltf.colours import to_display
 from nanogs.io.gltf.document import Document, JsonObject
 from nanogs.io.gltf.rows import Accessor, BufferReader
-from nanogs.io.gltf.scene import EXTENSION, PlacedPrimitive
+from nanogs.io.gltf.scene import EXTENSION, PlacedPrimitive, put_placed
 from nanogs.io.info import FileInfo
 from nanogs.io.spz import read as spz
 from nanogs.io.spz.header import read_header
@@ -184,11 +184,6 @@ def _place(
     primitive: Primitive, out: dict[str, Any], means: F64, quats: F64, log_scales: F64
 ) -> None:
     """Fill rows with the transformed geometry; convert and rotate the SH coefficients in place."""
-    pose = primitive.pose
     if primitive.linear:
         out["sh"][:] = to_display(out["sh"])
-    if not pose.is_identity():
-        means = pose.means(means)
-        quats, log_scales = pose.shapes(quats, log_scales)
-        out["sh"][:] = pose.harmonics(out["sh"])
-    out["means"][:], out["quats"][:], out["log_scales"][:] = means, quats, log_scales
+    put_placed(out, primitive.pose, means, quats, log_scales)

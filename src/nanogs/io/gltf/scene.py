@@ -8,6 +8,7 @@ the splats.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -141,6 +142,15 @@ def pose_of(matrix: F64, error: Callable[[str], FormatError]) -> Pose:
     if np.abs(rotation - whole).max() < 1e-12:
         rotation = whole
     return Pose(rotation, np.where(np.abs(scale - 1) < 1e-12, 1, scale), matrix[:3, 3])
+
+
+def put_placed(out: dict[str, Any], pose: Pose, means: F64, quats: F64, log_scales: F64) -> None:
+    """Fill rows with transformed geometry, and rotate their SH coefficients in place."""
+    if not pose.is_identity():
+        means = pose.means(means)
+        quats, log_scales = pose.shapes(quats, log_scales)
+        out["sh"][:] = pose.harmonics(out["sh"])
+    out["means"][:], out["quats"][:], out["log_scales"][:] = means, quats, log_scales
 
 
 def _skew(rotation: F64) -> float:

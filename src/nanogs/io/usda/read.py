@@ -7,19 +7,19 @@ turned into the frame of `.ply` files, from y up or from z up.
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nanogs._types import F32, F64
-from nanogs.activations import logit
+from nanogs.activations import logit, rotation_about
 from nanogs.errors import FormatError
 from nanogs.findings import invalid_opacities, negative_scales
 from nanogs.formatting import counted
 from nanogs.io.files import input_size, reading
-from nanogs.io.gltf.scene import Z_UP, pose_of
+from nanogs.io.gltf.scene import Z_UP, pose_of, put_placed
 from nanogs.io.info import FileInfo
 from nanogs.io.parts import Whole
 from nanogs.io.usda.text import Layer, Prim, read_layer
@@ -33,7 +33,6 @@ DEGREE = "radiance:sphericalHarmonicsDegree"
 COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
 _WIDTHS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1, COEFFICIENTS: 3}
 _BRACKETS = bytes.maketrans(b"(),[]\r\n\t", b" " * 8)
-_AXES = {"rotateX": 0, "rotateY": 1, "rotateZ": 2}
 _PIECE = 1 << 20  # bytes of an array that are parsed at a time
 
 
@@ -138,11 +137,7 @@ def _decode(rows: dict[str, F32], pose: Pose) -> None:
     means, quats = rows["means"].astype(np.float64), rows["quats"].astype(np.float64)
     log_scales = np.log(rows["log_scales"].astype(np.float64))
     rows["opacity_logits"][:] = logit(rows["opacity_logits"].astype(np.float64))
-    if not pose.is_identity():
-        means = pose.means(means)
-        quats, log_scales = pose.shapes(quats, log_scales)
-        rows["sh"][:] = pose.harmonics(rows["sh"])
-    rows["means"][:], rows["quats"][:], rows["log_scales"][:] = means, quats, log_scales
+    put_placed(rows, pose, means, quats, log_scales)
 
 
 def _column(layer: Layer, given: _Field, name: str) -> F32:
@@ -227,16 +222,10 @@ def _translation(numbers: F64) -> F64:
     return matrix
 
 
-def _rotation(axis: int) -> Callable[[F64], F64]:
-    def turn(degrees: F64) -> F64:
-        angle = np.radians(degrees[0])
-        one, other = (axis + 1) % 3, (axis + 2) % 3
-        matrix = np.eye(4)
-        matrix[one, one] = matrix[other, other] = np.cos(angle)
-        matrix[other, one], matrix[one, other] = np.sin(angle), -np.sin(angle)
-        return matrix
-
-    return turn
+def _rotation(axis: int, degrees: F64) -> F64:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_about(axis, np.radians(degrees[0]))
+    return matrix
 
 
 # Number of arguments of each operation, and its matrix; USD matrices act on row vectors.
@@ -244,5 +233,5 @@ _OPERATIONS: dict[str, tuple[int, Callable[[F64], Any]]] = {
     "translate": (3, _translation),
     "scale": (3, lambda numbers: np.diag([*numbers, 1.0])),
     "transform": (16, lambda numbers: numbers.reshape(4, 4).T),
-    **{name: (1, _rotation(axis)) for name, axis in _AXES.items()},
+    **{f"rotate{name}": (1, partial(_rotation, axis)) for axis, name in enumerate("XYZ")},
 }

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from nanogs.errors import FormatError
+from nanogs.io.files import damaged
 
 _TOKEN = re.compile(
     rb'"""[^"\\]*(?:(?:\\.|"(?!""))[^"\\]*)*"""'
@@ -211,7 +212,7 @@ class _Parser:
         return found[0]
 
     def _damaged(self, what: str) -> FormatError:
-        return FormatError(f"{self._path}: {what}; export or download it again.")
+        return damaged(self._path, what)
 
 
 def _plain(token: bytes) -> str:
