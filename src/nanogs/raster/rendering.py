@@ -236,39 +236,22 @@ def render(
     behind = background_of(background, depth=depth)
     engine = engine_in_use()
     if engine is not None:
-        return _render_on(
-            engine, prepared, camera, behind, wanted, sh_degree, contributions=contributions
+        on_card = view_on(engine, prepared, camera, sh_degree=sh_degree)
+        rendering = picture_of(on_card, prepared, behind, wanted)
+        if not contributions:
+            return rendering
+        shares, unoccluded = on_card.contributions(wanted), on_card.unoccluded()
+    else:
+        view = project(prepared, camera, sh_degree=sh_degree)
+        probes = np.ones((1 if contributions else 0, camera.height, camera.width), np.float32)
+        image, transmittance, totals = blend(view, camera, view.features, behind, probes, wanted)
+        rendering = rendering_of(
+            image, transmittance, len(view.order), prepared.skipped, prepared.render_mode
         )
-    view = project(prepared, camera, sh_degree=sh_degree)
-    probes = np.ones((1 if contributions else 0, camera.height, camera.width), np.float32)
-    image, transmittance, totals = blend(view, camera, view.features, behind, probes, wanted)
-    rendering = rendering_of(
-        image, transmittance, len(view.order), prepared.skipped, prepared.render_mode
-    )
-    if not contributions:
-        return rendering
-    shares, unoccluded = totals[:, 0].copy(), _unoccluded(view, camera)
+        if not contributions:
+            return rendering
+        shares, unoccluded = totals[:, 0].copy(), _unoccluded(view, camera)
     return replace(rendering, contributions=shares, unoccluded=unoccluded)
-
-
-def _render_on(
-    engine: "Engine",
-    prepared: PreparedSplats,
-    camera: Camera,
-    background: F32,
-    wanted: int,
-    sh_degree: int | None,
-    *,
-    contributions: bool,
-) -> Rendering:
-    """Render on a device; `background` has four channels if depth is asked for, or else three."""
-    view = view_on(engine, prepared, camera, sh_degree=sh_degree)
-    rendering = picture_of(view, prepared, background, wanted)
-    if not contributions:
-        return rendering
-    return replace(
-        rendering, contributions=view.contributions(wanted), unoccluded=view.unoccluded()
-    )
 
 
 def picture_of(
