@@ -181,14 +181,14 @@ class Grid:
 
     def free(self, position: F64) -> bool:
         """Return whether nothing opaque is within two cells of a point (3,)."""
-        return bool((self.at(position + _AROUND * self.cell) <= OPAQUE_DEPTH / 2).all())
-
-    def at(self, points: F64) -> F64:
-        """Return the (...) optical depths of the cells that hold points (..., 3); 0 outside."""
-        return self._at([points[..., k] for k in range(3)])
+        points = position + _AROUND * self.cell
+        return bool((self._at([*points.T]) <= OPAQUE_DEPTH / 2).all())
 
     def _at(self, columns: Sequence[F64]) -> F64:
-        """Return the depths at points given by three arrays of coordinates; see `at`."""
+        """Return the optical depths of the cells that hold some points; 0 outside.
+
+        The points are given by three arrays of coordinates of one shape, which the result has too.
+        """
         cells = np.zeros(columns[0].shape, np.int64)
         for column, corner in zip(columns, self.corner, strict=True):
             place = column - corner
