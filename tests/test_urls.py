@@ -25,7 +25,7 @@ import nanogs
 import radfiles
 from builders import random_splats
 from nanogs.errors import FormatError, OptionError, OutputError
-from nanogs.io.urls import Address, UrlFile, is_url, place, redacted, short_names
+from nanogs.io.urls import Address, UrlFile, as_path, is_url, redacted, short_names
 from nanogs.memory import LIBRARIES
 
 SECRETS = ("PASSWORD", "SIGNATURE")
@@ -508,7 +508,7 @@ WORDS = st.text("abcXYZ019_-.", min_size=1, max_size=8)
 def test_addresses_hide_user_password_and_query(user, word, path, query, kind):
     plain = f"{kind}://host.org/{'/'.join(path)}.ply"
     url = f"{plain.replace('://', f'://{user}:<pass{word}>@')}?key=<key{query}>"
-    address = place(url)
+    address = as_path(url)
     assert is_url(url)
     assert (str(address), redacted(url)) == (plain, plain)
     assert address.url == url
@@ -523,19 +523,20 @@ def test_addresses_hide_user_password_and_query(user, word, path, query, kind):
 def test_paths_stay_paths(tmp_path):
     for text in ("scene.ply", "C:/scene.ply", "a=b/c.ply", "s3:/bucket/a.ply", str(tmp_path)):
         assert not is_url(text)
-        assert type(place(text)) is type(Path(text))
-    assert place("file:///a/b%20c.ply") == Path("/a/b c.ply") or os.name == "nt"
-    assert place("https://h/..").name == "model"
-    assert place("zip://a/b.ply::s3://bucket/all.zip?key").name == "b.ply"
+        assert type(as_path(text)) is type(Path(text))
+    assert as_path("file:///a/b%20c.ply") == Path("/a/b c.ply") or os.name == "nt"
+    assert as_path("https://h/..").name == "model"
+    assert as_path("zip://a/b.ply::s3://bucket/all.zip?key").name == "b.ply"
     assert (
-        str(place("zip://b.ply::s3://k:s@bucket/all.zip?key")) == "zip://b.ply::s3://bucket/all.zip"
+        str(as_path("zip://b.ply::s3://k:s@bucket/all.zip?key"))
+        == "zip://b.ply::s3://bucket/all.zip"
     )
 
 
 @pytest.mark.parametrize("text", ["a\0.ply", "file:///a%00.ply", "\ud800.ply"])
 def test_a_path_that_no_file_can_have_is_refused(text):
     with pytest.raises(OptionError, match="cannot be the name of a file"):
-        place(text)
+        as_path(text)
 
 
 def test_a_url_file_is_a_local_file_shown_under_its_url(tmp_path):
@@ -562,4 +563,4 @@ def test_a_url_file_is_a_local_file_shown_under_its_url(tmp_path):
     ],
 )
 def test_files_have_the_shortest_names_that_tell_them_apart(paths, names):
-    assert short_names([*map(place, paths)]) == names
+    assert short_names([*map(as_path, paths)]) == names

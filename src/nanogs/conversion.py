@@ -18,7 +18,7 @@ from nanogs.io import open as open_model
 from nanogs.io.frames import keep_stated_frame, refuse_frame_read, refuse_frame_written
 from nanogs.io.parts import FileSource, level_note
 from nanogs.io.url_files import local_copies
-from nanogs.io.urls import place
+from nanogs.io.urls import as_path
 from nanogs.pipeline.estimates.stage_weights import read_weight, write_weight
 from nanogs.pose import Pose, pose_of_options
 from nanogs.progress import Progress, Stage, Tracker
@@ -117,7 +117,7 @@ def convert(
         NotEnoughMemoryError: The conversion takes more memory than is free or allowed.
     """
     start, clock = time.perf_counter(), StageClock()
-    given, wanted, filters = place(source), place(target), checked_filters(filters)
+    given, wanted, filters = as_path(source), as_path(target), checked_filters(filters)
     frame, pose = checked_frames(frame), pose_of_options(scale, rotate, translate)
     check_degree(sh_degree)
     format_options = registry.add_target_frame(wanted, format_options, frame)

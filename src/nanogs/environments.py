@@ -24,7 +24,7 @@ from nanogs.io.models import as_splats
 from nanogs.io.parts import FileSource
 from nanogs.io.retag import in_mode
 from nanogs.io.url_files import refuse_address
-from nanogs.io.urls import place
+from nanogs.io.urls import as_path
 from nanogs.lod.environment import Shell, find_environment
 from nanogs.lod.layout import LodLayout
 from nanogs.memory import allowed_memory, refuse_too_large
@@ -214,7 +214,7 @@ def surroundings(
         )
     named = not (isinstance(asked, str) and asked in (AUTO, NONE))
     if isinstance(asked, str | PathLike) and named:
-        asked = place(asked)
+        asked = as_path(asked)
         refuse_address(asked, "name a file for the environment")
     if layout not in _LAYOUTS:
         if named or ratio is not None:

@@ -21,7 +21,7 @@ from nanogs.io.frames import refuse_frame_written
 from nanogs.io.models import Model, as_splats
 from nanogs.io.retag import in_mode
 from nanogs.io.url_files import refuse_address
-from nanogs.io.urls import local_path, path_text, places
+from nanogs.io.urls import as_paths, local_path, path_text
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
@@ -126,7 +126,7 @@ def write_levels(
         ModelError: See `levels`; or the environment has another render mode than the model.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
-    files = () if isinstance(model, Splats | Source) else places(model)
+    files = () if isinstance(model, Splats | Source) else as_paths(model)
     for path in files:
         refuse_address(path, "give the source that nanogs.open returns for it")
     held = model if isinstance(model, Splats | Source) else files

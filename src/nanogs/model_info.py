@@ -14,7 +14,7 @@ from nanogs.io import FileInfo, registry
 from nanogs.io import open as open_model
 from nanogs.io.collect import model_in
 from nanogs.io.url_files import local_copies
-from nanogs.io.urls import place
+from nanogs.io.urls import as_path
 from nanogs.lod import manifest
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import info_bytes
@@ -107,7 +107,7 @@ def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelI
         NanogsError: The file is missing, damaged or of no known format, it cannot have that render
             mode, or reading it takes more memory than is free.
     """
-    given = place(path)
+    given = as_path(path)
     with local_copies([given]) as ([file], _):
         return _described(model_in(file), given, render_mode)
 

@@ -16,7 +16,7 @@ from nanogs.formatting import counted
 from nanogs.io import inspect
 from nanogs.io.collect import WHOLE_FOLDERS, collect
 from nanogs.io.url_files import refuse_address
-from nanogs.io.urls import is_url, place
+from nanogs.io.urls import as_path, is_url
 from nanogs.protocol import BLACK, Background, background_text
 from nanogs.raster.camera import Camera
 from nanogs.scoring.photo_views import PhotoViews
@@ -80,7 +80,7 @@ def parse_scene(text: str) -> BenchScene:
     """
     name, _, rest = text.partition("=")
     if is_url(rest):
-        refuse_address(place(rest), _DOWNLOAD)
+        refuse_address(as_path(rest), _DOWNLOAD)
     model, _, folder = rest.rpartition(":")
     if folder.startswith(("/", "\\")) and re.search(":[A-Za-z]$", model):  # a drive's colon
         model, folder = model[:-2], f"{model[-1]}:{folder}"

@@ -475,9 +475,9 @@ def parse_background(text: str) -> tuple[float, float, float]:
 
 def parse_place(text: str | Path) -> Path:
     """Parse a path or URL; a URL is an `Address`, because `Path` would merge its slashes."""
-    from nanogs.io.urls import place
+    from nanogs.io.urls import as_path
 
-    return place(text)
+    return as_path(text)
 
 
 def parse_local(text: str | Path) -> Path:

@@ -18,7 +18,7 @@ from nanogs.io.limits import refuse_empty, refused_splats
 from nanogs.io.parts import FileSource
 from nanogs.io.retag import checked_mode, retagged
 from nanogs.io.url_files import check_sendable, local_copies
-from nanogs.io.urls import Address, place
+from nanogs.io.urls import Address, as_path
 from nanogs.io.wrapper import Downloaded
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.ranges import as_switch, is_number
@@ -112,7 +112,7 @@ def open(  # noqa: A001 - the usual name of this
     checked_mode(render_mode)
     if not is_number(level, whole=True):
         raise OptionError(f"`level` must be a whole number, not {level!r}.")
-    path = place(path)
+    path = as_path(path)
     if not isinstance(path, Address):
         return _opened(path, level, format, render_mode)
     with ExitStack() as stack:
@@ -191,7 +191,7 @@ def save(
     refuse_no_model(splats)
     if isinstance(path, str | PathLike):
         check_writable(path, overwrite=overwrite, format=format, format_options=format_options)
-        named = as_named(place(path), format)
+        named = as_named(as_path(path), format)
     else:
         named = stream_name(path, format)
     left_out = losses(splats, named, format_options)  # now: a source's file may be replaced
@@ -219,7 +219,7 @@ def write_model(
         write_file(splats, path, format, format_options or {}, tracker.part)
         tracker.finish()
         return
-    path = place(path)
+    path = as_path(path)
     named = as_named(path, format)
     known = registry.writable(named)
     if isinstance(path, Address):
@@ -252,7 +252,7 @@ def encoded_bytes(
     """
     refuse_no_model(splats)
     buffer = BytesIO()
-    registry.writer(place(path), format_options)(splats, buffer)
+    registry.writer(as_path(path), format_options)(splats, buffer)
     return buffer.getbuffer().nbytes
 
 
@@ -270,7 +270,7 @@ def round_trip(
         NanogsError: As for `save`.
     """
     refuse_no_model(splats)
-    known = registry.writable(place(path))
+    known = registry.writable(as_path(path))
     if known.suffix == ".ply":
         return splats
     if known.shown is not None:
@@ -292,7 +292,7 @@ def round_trip_with_size(
     Raises:
         NanogsError: As for `save`.
     """
-    known = registry.writable(place(path))
+    known = registry.writable(as_path(path))
     if known.suffix == ".ply" and known.file_bytes is not None:
         return splats, known.file_bytes(splats, len(splats))  # .ply is lossless
     if known.shown is not None:
@@ -317,7 +317,7 @@ def derived_options(
     Raises:
         NanogsError: As for `save`.
     """
-    known, source = registry.writable(place(path)), source_of(model)
+    known, source = registry.writable(as_path(path)), source_of(model)
     registry.keywords(known, format_options)  # refuses options that the format does not have
     refuse_empty(source, known.suffix)
     found = known.derived_options(source, format_options)
@@ -339,7 +339,7 @@ def losses(
         OptionError: As for `save`.
     """
     refuse_no_model(splats)
-    known = registry.writable(place(path))
+    known = registry.writable(as_path(path))
     registry.keywords(known, format_options)  # refuses options that the format does not have
     if not len(splats):
         return (f"The model has no splats, {known.suffix} refuses it.",)
@@ -376,7 +376,7 @@ def bytes_on_disk(path: str | PathLike[str]) -> int:
     Raises:
         FormatError: As for `inspect`.
     """
-    path = place(path)
+    path = as_path(path)
     known = registry.find(path)
     if known is not None and known.ours:
         return known.open(path).info.file_bytes
@@ -402,7 +402,7 @@ def check_writable(
         OptionError: As for `save`.
         OutputError: As for `save`, except for a full disk.
     """
-    path, overwrite = place(path), as_switch("`overwrite`", overwrite)
+    path, overwrite = as_path(path), as_switch("`overwrite`", overwrite)
     known = registry.writable(as_named(path, format))
     registry.keywords(known, format_options)
     known.check()

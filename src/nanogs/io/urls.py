@@ -153,13 +153,13 @@ def is_url(text: object) -> bool:
     return isinstance(text, str) and _URL.match(text) is not None
 
 
-def places(given: object) -> tuple[Path, ...]:
-    """Convert an argument that is a path or URL, or several of them, as `place` does.
+def as_paths(given: object) -> tuple[Path, ...]:
+    """Convert an argument that is a path or URL, or several of them, as `as_path` does.
 
     Raises:
         OptionError: One is no path.
     """
-    return tuple(map(place, one_or_several(given)))
+    return tuple(map(as_path, one_or_several(given)))
 
 
 def path_text(name: str, given: object) -> str:
@@ -180,7 +180,7 @@ def path_text(name: str, given: object) -> str:
     return text
 
 
-def place(given: object) -> Path:
+def as_path(given: object) -> Path:
     """Convert an argument to a `Path`, or a URL to an `Address`; `file://` URLs become paths.
 
     Args:
@@ -237,9 +237,9 @@ def local_path(given: object) -> Path:
         given: A path or a `file://` URL.
 
     Raises:
-        OptionError: As for `place`, or it is another URL.
+        OptionError: As for `as_path`, or it is another URL.
     """
-    path = place(given)
+    path = as_path(given)
     if isinstance(path, Address):
         raise OptionError(f"{path} is a URL; name a file or folder of this machine.")
     return path

@@ -22,7 +22,7 @@ from nanogs.io.frames import (
 )
 from nanogs.io.limits import degree_left_out
 from nanogs.io.url_files import local_copies
-from nanogs.io.urls import local_path, path_text, place, places
+from nanogs.io.urls import as_path, as_paths, local_path, path_text
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -148,7 +148,7 @@ def simplify_blocks(
     frame = checked_frames(frame)
     parameters(preset, overrides)  # first, so that a misspelt target is named
     request = Request(
-        inputs=places(inputs), output=place(output),
+        inputs=as_paths(inputs), output=as_path(output),
         goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr, draw_cost),
         preset=preset, overrides=overrides, measured=measured,
         max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
@@ -157,7 +157,7 @@ def simplify_blocks(
         overwrite=overwrite, nan=nan, filters=filters, sh_degree=sh_degree, frame=frame,
         render_mode=render_mode, cameras=cameras, up=up, device=device, threads=threads,
         executor=executor, patience=patience,
-        format_options=registry.add_target_frame(place(output), format_options, frame),
+        format_options=registry.add_target_frame(as_path(output), format_options, frame),
     )  # fmt: skip
     request.check_addresses()
     inputs, target = request.inputs, request.output

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from nanogs.bar import show_progress
 from nanogs.errors import OptionError
 from nanogs.io.models import Model, opened
-from nanogs.io.urls import place, short_names
+from nanogs.io.urls import as_path, short_names
 from nanogs.progress import Progress, Tracker
 from nanogs.protocol import PIXELS, plain_background
 from nanogs.quantities import as_bytes
@@ -154,7 +154,7 @@ def checked_names(names: Sequence[str], count: int, whose: str) -> Sequence[str]
 
 def names_of(models: Sequence[Model]) -> list[str]:
     """Return names for an original and models: those of their files, where they are paths."""
-    paths = [place(model) for model in models if isinstance(model, str | PathLike)]
+    paths = [as_path(model) for model in models if isinstance(model, str | PathLike)]
     short = iter(short_names(paths))
     return [
         next(short)

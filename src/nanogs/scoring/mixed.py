@@ -16,7 +16,7 @@ from nanogs.io import inspect
 from nanogs.io.models import Model, as_splats
 from nanogs.io.registry import ARCHIVE, LEVELS
 from nanogs.io.url_files import refuse_address
-from nanogs.io.urls import place
+from nanogs.io.urls import as_path
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import model_bytes, models_bytes, scoring_bytes
 from nanogs.progress import Progress, Stage, Tracker
@@ -131,7 +131,7 @@ def compare_mixed(
         NotEnoughMemoryError: It takes more memory than is free or allowed.
         OptionError: An argument is out of range, no stream is given, or a path is not a stream.
     """
-    paths = [place(stream) for stream in streams]
+    paths = [as_path(stream) for stream in streams]
     for path in paths:
         refuse_address(path, "download the stream, and give the path of its file")
     called = _names(original, paths, names)

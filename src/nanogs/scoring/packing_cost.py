@@ -19,7 +19,7 @@ from nanogs.io import open as open_model
 from nanogs.io.collect import model_in
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, opened
-from nanogs.io.urls import place
+from nanogs.io.urls import as_path
 from nanogs.memory import allowed_memory
 from nanogs.memory_estimates import pictures_bytes
 from nanogs.progress import Progress, Stage, Tracker
@@ -128,7 +128,7 @@ def packing_cost(
     packing = packing_of(formats, format_options)
     limit = None if max_memory is None else as_bytes(max_memory)
     with ExitStack() as stack:
-        given = model_in(place(model)) if isinstance(model, str | PathLike) else model
+        given = model_in(as_path(model)) if isinstance(model, str | PathLike) else model
         source = stack.enter_context(opened(given))
         refuse_packed(source, packing)
         tracker = Tracker(stack.enter_context(show_progress(progress)), _stages(packing))
