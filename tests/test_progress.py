@@ -111,11 +111,11 @@ def test_simplify_reports_the_stages_of_its_preset(preset, ratio):
     nanogs.simplify(random_splats(300), ratio=ratio, preset=preset, progress=reported.append)
     assert_consistent(reported)
     stages = {step.stage for step in reported}
-    build = {"paper": {"prune", "merge"}, "fast": {"frame", "grow"}}
+    build = {"paper": {"prune", "merge"}, "fast": {"units", "grow"}}
     if ratio == 1 and preset != "paper":
         assert len(reported) == 1  # there is nothing to do
         return
-    assert stages >= build.get(preset, {"frame", "views", "look", "grow"})
+    assert stages >= build.get(preset, {"units", "views", "look", "grow"})
     if ratio < 1:
         search_stages = {"trial", "pick", "settle", "judge", "choose", "part", "fit"}
         last = {"default": search_stages, "best": search_stages, "fast": {"settle", "part"}}
@@ -145,7 +145,7 @@ def test_searches_report_their_stages_in_order(preset, goal, first, stages, smal
     order = [stage for stage, _ in itertools.groupby(step.stage for step in reported)]
     view_stages = ["views", "look"] if preset == "default" else []
     assert order[-len(stages[preset]) :] == stages[preset]
-    assert order[: -len(stages[preset])] == [*first, "frame", *view_stages, "grow"]
+    assert order[: -len(stages[preset])] == [*first, "units", *view_stages, "grow"]
     _, plain = nanogs.simplify(splats, preset=preset, ratio=0.3)
     timed = {"encode"} | {"measure" for _ in view_stages} if "size" in goal else {"measure"}
     assert {*report.seconds} - {*plain.seconds} == timed
@@ -154,7 +154,7 @@ def test_searches_report_their_stages_in_order(preset, goal, first, stages, smal
 def test_a_size_that_leaves_the_sh_degree_open_is_packed_first(small_pictures):
     reported, splats = [], random_splats(300, degree=1)
     nanogs.simplify(splats, size=9_000, progress=lambda step: reported.append(step.stage))
-    first = ["frame", "views", "look", "grow"]
+    first = ["units", "views", "look", "grow"]
     assert [*dict.fromkeys(reported)] == [*first, "guess", "pack", "deliver"]
 
 
@@ -188,7 +188,7 @@ def test_levels_report_their_stages(tmp_path):
     )  # fmt: skip
     assert_consistent(reported)
     order = [stage for stage, _ in itertools.groupby(s.stage for s in reported)]
-    assert order == ["frame", "grow", "level_0", "write", "level_1", "write"]
+    assert order == ["units", "grow", "level_0", "write", "level_1", "write"]
     reported.clear()
     nanogs.save(random_splats(300), tmp_path / "scene.ply")
     write_levels(
@@ -223,7 +223,7 @@ def test_blocks_report_their_stages(tmp_path, levels):
             block=200, progress=reported.append,
         )  # fmt: skip
     assert_consistent(reported)
-    assert {"frame", "segment", "grow", "cut", "settle", "part", "write"} <= {
+    assert {"units", "segment", "grow", "cut", "settle", "part", "write"} <= {
         s.stage for s in reported
     }
     forest = [s.fraction for s in reported if s.stage == "grow"]

@@ -88,7 +88,7 @@ def splats():
 
 @pytest.fixture
 def few_rows(monkeypatch):
-    """Let the stage `frame` sample only a few rows, as it does for large models."""
+    """Let the stage `units` sample only a few rows, as it does for large models."""
     monkeypatch.setattr(source, "_MOST_RUNS", 3)
     monkeypatch.setattr(source, "RUN_ROWS", 64)
 
@@ -193,7 +193,7 @@ def crash_at(monkeypatch, stage, times=1):
     return called
 
 
-@pytest.mark.parametrize("stage", ["unpack", "frame", "segment", "part"])
+@pytest.mark.parametrize("stage", ["unpack", "units", "segment", "part"])
 def test_an_interrupted_job_gives_the_same_bytes(packed, tmp_path, monkeypatch, stage):
     out, expected = tmp_path / "small.ply", tmp_path / "expected.ply"
     nanogs.simplify_blocks(packed, expected, ratio=0.3, **REASSIGNED)

@@ -124,7 +124,7 @@ def test_stages_of_a_search_are_reported_and_timed(
             **goal, **preset,
         )  # fmt: skip
     first = ["segment", "partition", "rough", "outline", "coarse", "views", "look", "grow"]
-    first = ["frame", *(first if preset is LOOKS else ["segment", "partition", "grow"])]
+    first = ["units", *(first if preset is LOOKS else ["segment", "partition", "grow"])]
     assert [*dict.fromkeys(reported)] == [*first, *stages, "write"]
     assert {*report.seconds} - plain_seconds(preset["preset"]) == timed
 

@@ -17,11 +17,11 @@ from nanogs.views.poses import look_at
 
 
 def scene_with_views(splats, cameras, parameters, up=None):
-    """Return the scene of a model after the stages frame, views and look."""
+    """Return the scene of a model after the stages units, views and look."""
     asked = requested_views(cameras, up)
     settings = dataclasses.replace(whole_settings(splats, parameters), asked=asked)
     scene = OneBlock(splats, np.arange(len(splats), dtype=np.int32), settings, 1)
-    for stage in ("frame", "views", "look"):
+    for stage in ("units", "views", "look"):
         do(scene, Task(stage))
     return scene
 

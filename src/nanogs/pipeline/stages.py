@@ -353,7 +353,7 @@ STAGES = {
     stage.name: stage
     for stage in (
         JobStage("unpack", "file", _unpack, 1.0, wanted=_unpacks),
-        JobStage("frame", "job", _units, 0.3, held=True, here=True),  # makes the `Units`
+        JobStage("units", "job", _units, 0.3, held=True, here=True),
         JobStage("segment", "segment", spill, 0.5),
         JobStage("partition", "job", _partition, 0.05),
         JobStage("rough", "block", _rough, 3.0, wanted=_looks, needed=_divided),

@@ -121,7 +121,7 @@ class Work(Scene):
     @cached_property
     def units(self) -> Units:
         """The units that all blocks share."""
-        return units_of(self.record(Task("frame")).facts)
+        return units_of(self.record(Task("units")).facts)
 
     @cached_property
     def partition(self) -> Partition:

@@ -1,4 +1,4 @@
-"""Stage `frame`: the scale and Morton grid that all blocks share, from evenly spread rows."""
+"""Stage `units`: the scale and Morton grid that all blocks share, from evenly spread rows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
