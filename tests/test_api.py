@@ -316,7 +316,7 @@ def test_views_may_be_named_or_given_and_are_refused_where_unused(pair, files, t
     _, named = nanogs.simplify(pair[0], count=9, cameras="orbit", **quick)
     cameras = cameras_for(pair[0], "orbit", count=4, width=64, height=64, split="fit")
     _, with_cameras = nanogs.simplify(pair[0], count=9, cameras=cameras, **quick)
-    assert named.refit.fit_views == with_cameras.refit.fit_views
+    assert named.fit.fit_views == with_cameras.fit.fit_views
     assert named.shown == pytest.approx(with_cameras.shown, rel=0.2)
     with pytest.raises(OptionError, match="or at least one nanogs"):
         nanogs.simplify(pair[0], count=9, cameras=[])

@@ -144,7 +144,7 @@ def test_the_option_steps_is_passed_to_the_method(scene, tmp_path):
     options = ("-r", "0.1", "--preset", "fast", "--steps", "6", "--view-size", "64", "--json")
     report = json.loads(run("simplify", scene, tmp_path / "a.ply", *options).stdout)
     assert report["parameters"]["steps"] == 6
-    assert report["refit"]["psnr_after"] >= report["refit"]["psnr_before"]
+    assert report["fit"]["psnr_after"] >= report["fit"]["psnr_before"]
 
 
 def test_the_options_for_views_are_passed_to_the_method(scene, tmp_path):

@@ -92,7 +92,7 @@ def test_reports_of_blocks_have_the_entries_of_a_run_in_memory(splats, scene, tm
         assert [(entry.balance, entry.reassigned) for entry in report.candidates[:3]] == [
             (entry.balance, entry.reassigned) for entry in in_memory.candidates[:3]
         ]
-        assert report.refit.psnr_after >= report.refit.psnr_before
+        assert report.fit.psnr_after >= report.fit.psnr_before
 
 
 def test_one_call_joins_filters_turns_simplifies_and_measures(splats, scene, tmp_path):

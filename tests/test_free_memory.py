@@ -710,7 +710,7 @@ def test_the_report_of_blocks_has_results_of_the_stages_that_ran(
     )
     assert (report.shown is not None) == rendered
     assert bool(report.candidates) == rendered
-    assert (report.refit is not None) == fitted
+    assert (report.fit is not None) == fitted
 
 
 def test_the_preset_that_renders_nothing_has_no_fitting_steps(capsys):

@@ -388,7 +388,7 @@ def test_the_longer_fit_is_made_and_reported(splats):
     fewer = splats.take(np.arange(0, len(splats), 4))
     _, report = nanogs.simplify(fewer, size=8000, format=".spz", **few)
     assert (report.parameters["steps"], report.parameters["further"]) == (SEARCHED_STEPS, 72)
-    assert sum(each.steps for each in report.refit.rounds) == SEARCHED_STEPS
+    assert sum(each.steps for each in report.fit.rounds) == SEARCHED_STEPS
     _, report = nanogs.simplify(fewer, size=8000, format=".spz", **few, steps=2)
     assert report.parameters["steps"] == 2
 

@@ -19,6 +19,7 @@ from nanogs.fit.groups import EXACT, ViewGroup, grouped, hold_out, split
 from nanogs.fit.report import RefitStop
 from nanogs.fit.rounds import Validator, _line_search, _round
 from nanogs.fit.shared import fit_shared
+from nanogs.fit.stages import refit_stages
 from nanogs.fit.state import (
     LOWEST_LOG_SCALE,
     MeanState,
@@ -492,6 +493,7 @@ def test_refit_raises_the_psnr_and_keeps_other_data():
     assert len(report.validation_views) == 2
     assert not set(report.fit_views) & set(report.validation_views)
     assert all(name.startswith("fit") for name in report.fit_views + report.validation_views)
+    assert list(report.seconds) == [stage.name for stage in refit_stages(QUICK, 1, 1)]
     json.dumps(report.to_dict())
 
 

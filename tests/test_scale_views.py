@@ -75,9 +75,9 @@ def test_the_report_has_visibility_candidates_and_the_fit(blocks_result):
     assert 0 < report.shown <= 1
     assert sum(each.chosen for each in report.candidates) == 1
     assert {each.balance for each in report.candidates} == {0.5, 1.0}
-    assert report.refit.psnr_after > report.refit.psnr_before
-    assert all(each.psnr_after >= each.psnr_before for each in report.refit.groups)
-    assert report.refit.count == report.achieved_count
+    assert report.fit.psnr_after > report.fit.psnr_before
+    assert all(each.psnr_after >= each.psnr_before for each in report.fit.groups)
+    assert report.fit.count == report.achieved_count
 
 
 @pytest.mark.parametrize("reached", [0, 1, 9])
@@ -97,9 +97,9 @@ def test_the_fit_of_blocks_reports_why_it_stopped_and_what_it_noted(
 
     monkeypatch.setattr(fitting, "fit_to_views", fit_to_views)
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **BLOCKS)
-    assert report.refit.stop is (RefitStop.OPTIMUM if reached == 9 else RefitStop.ROUNDS)
-    assert report.refit.improved == (reached < 9)
-    assert report.refit.notes == (("Nothing improved.",) if reached == 9 else ())
+    assert report.fit.stop is (RefitStop.OPTIMUM if reached == 9 else RefitStop.ROUNDS)
+    assert report.fit.improved == (reached < 9)
+    assert report.fit.notes == (("Nothing improved.",) if reached == 9 else ())
 
 
 def test_a_task_reads_the_rest_of_the_scene_once(scene, tmp_path, monkeypatch):
@@ -165,7 +165,7 @@ def test_one_block_is_chosen_and_fitted_as_in_memory(splats, scene, tmp_path):
         assert (one.balance, one.reassigned) == (other.balance, other.reassigned)
         assert one.psnr == pytest.approx(other.psnr, abs=0.1)
         assert one.ssim == pytest.approx(other.ssim, abs=0.005)
-    gained = [report.psnr_after - report.psnr_before for report in (blocks.refit, whole.refit)]
+    gained = [report.psnr_after - report.psnr_before for report in (blocks.fit, whole.fit)]
     assert gained[0] == pytest.approx(gained[1], abs=0.5)
 
 
@@ -183,7 +183,7 @@ def test_an_invisible_scene_gets_the_result_of_the_preset_fast(splats, tmp_path,
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", preset=preset, **options)
     said = [note.partition(":")[0] for note in report.notes]
     assert said == ["Nothing was rendered or measured"]
-    assert (report.shown, report.candidates, report.refit) == (None, (), None)
+    assert (report.shown, report.candidates, report.fit) == (None, (), None)
     options["rounds"] = nanogs.presets[preset].rounds
     nanogs.simplify_blocks(scene, tmp_path / "b.ply", preset="fast", **options)
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
@@ -220,13 +220,13 @@ def test_blocks_that_are_not_fitted_are_noted_in_the_report(splats, tmp_path):
         return nanogs.simplify_blocks(tmp_path / "scene.ply", out, ratio=0.2, **chosen)
 
     some = report_of()
-    left = some.blocks.blocks - len(some.refit.groups)
+    left = some.blocks.blocks - len(some.fit.groups)
     were, blocks = "was" if left == 1 else "were", some.blocks.blocks
     expected = f"{left} of {blocks} blocks {were} not fitted, because too few views show them."
     assert left > 0
     assert some.notes == (expected,)
     none = report_of(views=1, block=10**6)
-    assert none.refit is None
+    assert none.fit is None
     assert none.notes == ("The result was not fitted, because too few views show it.",)
 
 
@@ -262,7 +262,7 @@ def test_a_level_of_all_splats_takes_no_disk_space_for_groups(scene, splats, tmp
 def test_levels_are_fitted_too(scene, tmp_path):
     _, reports = nanogs.write_levels(scene, tmp_path / "levels", [0.4, 0.1], **BLOCKS)
     assert [report.achieved_count for report in reports] == [COUNT * 2 // 5, COUNT // 10]
-    assert all(report.refit.psnr_after > report.refit.psnr_before for report in reports)
+    assert all(report.fit.psnr_after > report.fit.psnr_before for report in reports)
 
 
 # ---- parts ----------------------------------------------------------------------------------
@@ -452,7 +452,7 @@ def test_given_cameras_are_those_that_blocks_are_fitted_to(scene, splats, tmp_pa
         nanogs.simplify_blocks(
             scene, tmp_path / "b.ply", ratio=0.2, cameras="inside", up=(0, 0, 1), **BLOCKS
         )
-    assert report.refit.fit_views == tuple(camera.name for camera in cameras)
+    assert report.fit.fit_views == tuple(camera.name for camera in cameras)
     plain = json.loads(json.dumps(jobs[0].to_dict()))
     assert differences(plain, jobs[0]) == []
     assert [camera.width for camera in jobs[0].asked.given()] == [120] * 5

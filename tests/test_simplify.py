@@ -490,6 +490,6 @@ def test_a_result_that_the_fit_cannot_improve_is_returned_unchanged():
     best, report = nanogs.simplify(random_splats(2), count=1, preset="best")
     assert len(best) == 1
     unfitted, _ = nanogs.simplify(random_splats(2), count=1, preset="best", steps=0)
-    assert not report.refit.improved
-    assert any("was not changed" in note for note in report.refit.notes)
+    assert not report.fit.improved
+    assert any("was not changed" in note for note in report.fit.notes)
     assert model_bytes(best) == model_bytes(unfitted)

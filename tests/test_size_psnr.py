@@ -270,7 +270,7 @@ def test_an_unreachable_psnr_gives_the_whole_model_in_few_probes(splats):
     # If a quick result is far below the PSNR, no candidates are compared and none is fitted.
     best = nanogs.simplify(splats, psnr=120, preset="best")[1]
     assert best.stop is StopReason.UNREACHED
-    assert best.refit is None
+    assert best.fit is None
     assert all(probe.quick for probe in best.probes)
 
 

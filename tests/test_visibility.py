@@ -260,16 +260,16 @@ def test_a_single_view_only_validates_and_nothing_is_fitted():
     splats = random_splats(300)
     assert len(scene_with_views(splats, None, view_parameters(views=1)).view_groups) == 1
     _, report = nanogs.simplify(splats, ratio=0.5, views=1, further=0)
-    assert report.refit is None
+    assert report.fit is None
     assert any("not fitted" in note for note in report.notes)
 
 
 def test_the_report_of_the_fit_gives_its_number_of_views():
     options = {"views": 8, "further": 0, "view_size": 48, "steps": 2}
     _, report = nanogs.simplify(random_splats(300), ratio=0.5, **options)
-    parameters = report.refit.parameters
-    assert parameters["views"] == len(report.refit.fit_views) == 7
-    assert parameters["validation"] == len(report.refit.validation_views) == 1
+    parameters = report.fit.parameters
+    assert parameters["views"] == len(report.fit.fit_views) == 7
+    assert parameters["validation"] == len(report.fit.validation_views) == 1
 
 
 def test_hidden_splats_are_merged_first():

@@ -205,7 +205,7 @@ class SimplifyReport:
             nothing was rendered.
         candidates: The results that were rendered to choose one, in the order tried; empty if it
             is not guided by renders.
-        refit: Gain of fitting the result to the original (see `nanogs.refit`), or None.
+        fit: Gain of fitting the result to the original (see `nanogs.refit`), or None.
         notes: Further notes for the user, one sentence each.
         asked_size: The largest file size asked for, bytes, or None.
         asked_psnr: The PSNR asked for, dB, or None.
@@ -251,7 +251,7 @@ class SimplifyReport:
     threads: int
     shown: float | None = None
     candidates: tuple[CandidateReport, ...] = ()
-    refit: RefitReport | None = None
+    fit: RefitReport | None = None
     notes: tuple[str, ...] = ()
     asked_size: int | None = None
     asked_psnr: float | None = None

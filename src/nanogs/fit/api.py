@@ -102,7 +102,7 @@ def refit(
         entries = shared_entries(sharing, given.sh_degree, len(given))
         tracker = Tracker(on_step, refit_stages(chosen, len(large), len(given)))
         tracker.begin("render")
-        with clock.time("targets"):
+        with clock.time("render"):
             fitting, deciding, unseen = view_targets(large, given, cameras, chosen, tracker.part)
         tracker.begin("fit")
         fitted, report = fit_to_views(

@@ -122,7 +122,7 @@ class TreeFilling(OpenSink):
         ]
         files = [(self._making, level) for level in range(len(self.written))]
         self.measure(judge, files, lambda _level, deviation: tree_pixel(deviation))
-        if any(report.refit for report in reports):
+        if any(report.fit for report in reports):
             note = (
                 "Inner splats of the tree are made anew, so that they fit each other, and little of"
                 f" the fit of the preset {reports[0].preset!r} is left in them; without it,"

@@ -32,7 +32,7 @@ class Outcome:
     shown: float | None = None
     reassign_rounds: int | None = None
     candidates: tuple[CandidateReport, ...] = ()
-    refit: RefitReport | None = None
+    fit: RefitReport | None = None
     notes: tuple[str, ...] = ()
     fields: Mapping[str, Any] = field(default_factory=dict)
 
@@ -61,7 +61,7 @@ def report_fields(scene: "Scene", level: int) -> dict[str, Any]:
         "shown": shown,
         "reassign_rounds": scene.reassign_rounds(level),
         "candidates": reports_of(scene, level) if scene.tries(level) else (),
-        "refit": scene.fit_report(level) if scene.fits(level) else None,
+        "fit": scene.fit_report(level) if scene.fits(level) else None,
         "notes": (*looked, *unseen, *unfitted),
     }
 
