@@ -164,16 +164,10 @@ def fit_to_views(
         count=len(fitted),
         fit_views=fitting.names,
         validation_views=tuple(name for group in outcome.groups for name in group.views),
-        groups=outcome.groups,
-        psnr_before=outcome.psnr_before,
-        psnr_after=outcome.psnr_after,
-        improved=outcome.improved,
-        rounds=outcome.rounds,
-        stop=outcome.stop,
         seconds=clock.seconds,
         total_seconds=sum(clock.seconds.values()),
         threads=threads,
-        notes=outcome.notes,
+        **outcome._asdict(),
     )
     return fitted, report
 

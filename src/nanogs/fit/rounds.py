@@ -3,8 +3,7 @@
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -31,9 +30,8 @@ SHORTEST = 0.25  # the same after a round of which nothing was kept
 LEAST = 0.05  # of the first learning rate: the fit ends if nothing was kept and the next is less
 
 
-@dataclass(frozen=True, slots=True)
-class FitOutcome:
-    """The result of `fit`; see `RefitReport` for the fields."""
+class FitOutcome(NamedTuple):
+    """The result of `fit`: fields of `RefitReport`."""
 
     groups: tuple[GroupReport, ...]
     psnr_before: float
