@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
@@ -134,17 +135,16 @@ def views_of(rows: Sequence[BenchRow]) -> list[tuple[str, str]]:
 
 def _envelope(rows: Sequence[BenchRow], label: str) -> _Curves:
     """Return curves of the best file at each requested size, by PSNR and by SSIM separately."""
-    best: dict[int, tuple[tuple[float, float], tuple[float, float]]] = {}
+    psnrs: dict[int, tuple[float, float]] = {}  # bytes and PSNR by requested size
+    ssims: dict[int, tuple[float, float]] = {}
     for row in rows:
         score = score_on(row, label)
         if score is None or row.size is None or not row.file_bytes:
             continue
-        psnr, ssim = (row.file_bytes, score.psnr or 0.0), (row.file_bytes, score.ssim or 0.0)
-        known = best.get(row.size, (psnr, ssim))
-        best[row.size] = (_higher(known[0], psnr), _higher(known[1], ssim))
-    return _Curves(
-        _curve(psnr for psnr, _ in best.values()), _curve(ssim for _, ssim in best.values())
-    )
+        for best, quality in ((psnrs, score.psnr), (ssims, score.ssim)):
+            point = row.file_bytes, quality or 0.0
+            best[row.size] = max(best.get(row.size, point), point, key=itemgetter(1))
+    return _Curves(_curve(psnrs.values()), _curve(ssims.values()))
 
 
 def _curve(points: Iterable[tuple[float, float]]) -> Curve:
@@ -153,10 +153,6 @@ def _curve(points: Iterable[tuple[float, float]]) -> Curve:
     for taken, quality in points:
         qualities[taken] = max(quality, qualities.get(taken, quality))
     return list(qualities.items())
-
-
-def _higher(one: tuple[float, float], two: tuple[float, float]) -> tuple[float, float]:
-    return two if two[1] > one[1] else one
 
 
 def score_on(row: BenchRow, label: str) -> SetScore | None:

@@ -163,18 +163,17 @@ class BenchRow:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "BenchRow":
         """Rebuild a row from the output of `to_dict`."""
-        values = {name: value if name in _WORDS else _value(value) for name, value in data.items()}
+        values = _values(data)
         values["status"], values["against"] = Status(data["status"]), Against(data["against"])
-        further = tuple(
-            SetScore(
-                **{name: value if name in _WORDS else _value(value) for name, value in one.items()}
-            )
-            for one in data["further"]
-        )
+        further = tuple(SetScore(**_values(one)) for one in data["further"])
         return cls(**values | {"notes": tuple(data["notes"]), "further": further})
 
 
 _WORDS = {"scene", "method", "reason", "dataset", "label", "format"}
+
+
+def _values(data: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value if name in _WORDS else _value(value) for name, value in data.items()}
 
 
 def _value(value: Any) -> Any:  # noqa: ANN401 - whatever a row holds
