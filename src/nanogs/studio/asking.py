@@ -118,20 +118,16 @@ class RequestHandler:
             NanogsError: They cannot be measured.
         """
         with self._forest:
-            if self._cache.is_grown(choice):
-                self._explore(choice, channel)
-
-    def _explore(self, choice: Choice, channel: Channel) -> None:
-        grown = self._cache.fully(choice, channel.progress("curve"))
-        curve = self._cache.curve(choice, grown)
-        while (count := curve.missing()) is not None:
-            draft = grown.draft(count)
-            with self._lent():
-                measured = grown.measure(
-                    draft, format=choice.format, progress=channel.progress("curve")
-                )
-            curve.add(Point(count, measured.bytes, measured.judged.psnr, coarse=True))
-            channel(_point(curve.points[count, True], choice))
+            if not self._cache.is_grown(choice):
+                return
+            grown = self._cache.fully(choice, channel.progress("curve"))
+            curve = self._cache.curve(choice, grown)
+            while (count := curve.missing()) is not None:
+                draft, on_step = grown.draft(count), channel.progress("curve")
+                with self._lent():
+                    measured = grown.measure(draft, format=choice.format, progress=on_step)
+                curve.add(Point(count, measured.bytes, measured.judged.psnr, coarse=True))
+                channel(_point(curve.points[count, True], choice))
 
     def preview(self, choice: Choice, channel: Channel) -> None:
         """Show which splats the filters of a choice would remove, without removing them.

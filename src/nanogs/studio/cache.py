@@ -83,9 +83,7 @@ class WorkerCache:
         """
         key = model_key(choice)
         if self._sifted is None or self._sifted[0] != key:
-            whole = self.whole(choice.render_mode)
-            found = FilteredScene(*apply_with_mask(whole, filters_of(choice.filters)))
-            self._sifted, self.grown = (key, found), None
+            self._sifted, self.grown = (key, self.previewed(choice)), None
         return self._sifted[1]
 
     def previewed(self, choice: Choice) -> FilteredScene:
@@ -94,15 +92,10 @@ class WorkerCache:
         Raises:
             ModelError: No splat is left.
         """
-        if self.is_shown(choice):
-            return self.sifted(choice)
-        return FilteredScene(
-            *apply_with_mask(self.whole(choice.render_mode), filters_of(choice.filters))
-        )
-
-    def is_shown(self, choice: Choice) -> bool:
-        """Return whether the filtered scene of a choice is the one in the cache."""
-        return self._sifted is not None and self._sifted[0] == model_key(choice)
+        if self._sifted is not None and self._sifted[0] == model_key(choice):
+            return self._sifted[1]
+        whole = self.whole(choice.render_mode)
+        return FilteredScene(*apply_with_mask(whole, filters_of(choice.filters)))
 
     def here(self, choice: Choice) -> "Grown | None":
         """Return the forest in the cache if it is of the same model, of whatever preset."""

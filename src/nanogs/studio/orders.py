@@ -16,7 +16,7 @@ from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
 from nanogs.studio.choice import Choice, FilterChoice
 from nanogs.studio.scene import Scene, StudioSettings
-from nanogs.studio.turning import direction_of, frames_to, refuse_stated, turned
+from nanogs.studio.turning import direction_of, frames_to, turned
 
 LAYOUTS = {
     "lod-meta.json": ("streamed SOG, a folder", "{stem}/lod-meta.json"),
@@ -186,7 +186,10 @@ def refuse_unfit(scene: Scene, choice: Choice) -> None:
             " count or the file size."
         )
     if choice.up is not None and choice.up != scene.up and scene.states_frame:
-        raise refuse_stated(scene.path.name)
+        raise OptionError(
+            f"The up direction cannot be changed, because {scene.path.name} states its frame; save"
+            " it without the change, or convert it to .ply first and open that."
+        )
 
 
 def filters_of(chosen: FilterChoice) -> list[filters.Filter]:

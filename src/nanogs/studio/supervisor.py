@@ -200,10 +200,6 @@ class WorkerSupervisor:
             self._curve = None  # trying it again would end the same way
         elif job is not None and job.kind == "open":
             self._end_unopened()  # so would this, for as long as a job is waiting
-        self._start_again()
-
-    def _start_again(self) -> None:
-        """Read the scene again if jobs are waiting."""
         if not self.queue.idle:
             self.open()
 

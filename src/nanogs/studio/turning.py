@@ -78,11 +78,3 @@ def frames_to(up: str, target: Path) -> tuple[str, str]:
 def turned(frames: tuple[str, str] | None) -> tuple[str, str] | None:
     """Replace an empty target frame by the one that the library expects."""
     return frames and (frames[0], frames[1] or TRAINED)
-
-
-def refuse_stated(name: str) -> OptionError:
-    """Make the error for choosing another up axis than the model's file states."""
-    return OptionError(
-        f"The up direction cannot be changed, because {name} states its frame; save it without"
-        " the change, or convert it to .ply first and open that."
-    )
