@@ -4,7 +4,7 @@ import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nanogs._version import __version__
 from nanogs.errors import ModelError
@@ -13,9 +13,6 @@ from nanogs.protocol import Background, Judged, hex_text
 from nanogs.view.bundle import licences, program
 from nanogs.view.pack import Packed, camera_in_page
 from nanogs.views.opening import Opening
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
 
 MOST_TEXT = 500_000_000  # characters of base64; a browser's strings have at most 536,870,888
 # Content security policy: only what the viewer needs within the page, and no network requests.
@@ -84,15 +81,12 @@ def viewer_part(models: Sequence[Shown], start: Opening, background: Background)
                 f"{model.name} is too large for a page ({bytes_text(len(texts[-1]))} as text, and"
                 f" browsers hold {bytes_text(MOST_TEXT)}); simplify it first."
             )
-    return (
-        _environment()
-        .from_string(_template("viewer.html.j2"))
-        .render(
-            licences=licences(),
-            scene=_scene(models, start, background),
-            models=texts,
-            program=program(),
-        )
+    return _render(
+        "viewer.html.j2",
+        licences=licences(),
+        scene=_scene(models, start, background),
+        models=texts,
+        program=program(),
     )
 
 
@@ -105,16 +99,13 @@ def render_page(models: Sequence[Shown], start: Opening, background: Background)
     """
     from markupsafe import Markup
 
-    return (
-        _environment()
-        .from_string(_template("page.html.j2"))
-        .render(
-            title=" and ".join(model.name for model in models) or "Model",
-            background=hex_text(background),
-            policy=POLICY,
-            version=__version__,
-            viewer=Markup(viewer_part(models, start, background)),  # noqa: S704 - escaped there
-        )
+    return _render(
+        "page.html.j2",
+        title=" and ".join(model.name for model in models) or "Model",
+        background=hex_text(background),
+        policy=POLICY,
+        version=__version__,
+        viewer=Markup(viewer_part(models, start, background)),  # noqa: S704 - escaped there
     )
 
 
@@ -135,11 +126,9 @@ def _scene(models: Sequence[Shown], start: Opening, background: Background) -> d
     }
 
 
-def _environment() -> "Environment":
+def _render(template: str, **values: Any) -> str:  # noqa: ANN401 - what the template takes
     from jinja2 import Environment
 
-    return Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-
-
-def _template(name: str) -> str:
-    return files("nanogs.view").joinpath(name).read_text(encoding="utf-8")
+    text = files("nanogs.view").joinpath(template).read_text(encoding="utf-8")
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(text).render(values)
