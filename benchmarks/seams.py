@@ -35,9 +35,9 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
         size = int(len(splats) / blocks * 1.08) + 1
         request = Request(
             goal=Goal(ratio=ratio), inputs=(source,), output=Path("a.ply"), preset="fast",
-            overrides={"rounds": rounds},
+            overrides={"rounds": rounds}, block=size,
         )  # fmt: skip
-        settings, _ = plan_job(request, None, size)
+        settings, _ = plan_job(request)
         units = find_units(settings)
         results = run_tasks(
             folder, settings, InProcess(), 2, StageClock(), Tracker(None, []), resumed=False

@@ -323,8 +323,10 @@ def test_too_little_memory_for_blocks_names_the_default_of_workers(scene, tmp_pa
 
 
 def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path, monkeypatch):
-    from nanogs.pipeline.in_blocks import block_memory
+    from nanogs.pipeline.in_blocks import with_limit
     from nanogs.pipeline.job.folder import read_manifest
+    from nanogs.pipeline.options.target import Goal
+    from nanogs.pipeline.request import Request
 
     job, out = tmp_path / "job", tmp_path / "small.ply"
 
@@ -341,10 +343,12 @@ def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path,
             scene, out, max_memory=LIBRARIES + 25_000_000, progress=stop, **options
         )
     block = read_manifest(job)[0]["block"]
+    request = Request(goal=Goal(ratio=0.1), output=out, job=job, resume=True)
     for free in (20_000_000, 8 * GB):
         limit = Memory(free, "free on this machine")
         monkeypatch.setattr(memory, "free_memory", lambda limit=limit, **_: limit)
-        assert block_memory(None, None, job, elsewhere=False)[:2] == (None, block)
+        limited = with_limit(request, elsewhere=False)
+        assert (limited.max_memory, limited.block) == (None, block)
     report = nanogs.simplify_blocks(scene, out, resume=True, **options)
     assert report.blocks.allowed == block
     assert report.blocks.resumed > 0

@@ -293,8 +293,8 @@ def test_the_command_reports_a_damaged_file(tmp_path):
 
 
 def planned(*paths, block=500, memory=None):
-    request = Request(goal=Goal(ratio=0.3), inputs=paths, output=paths[0], preset="fast")
-    return plan_job(request, memory, block)
+    options = {"output": paths[0], "preset": "fast", "block": block, "max_memory": memory}
+    return plan_job(Request(goal=Goal(ratio=0.3), inputs=paths, **options))
 
 
 @pytest.mark.parametrize(

@@ -251,8 +251,8 @@ def test_a_worker_reports_files_that_it_cannot_read(tmp_path):
 
     source, host = tmp_path / "in.ply", re.escape(socket.gethostname())
     nanogs.save(random_splats(900), source)
-    request = Request(goal=Goal(ratio=0.5), inputs=(source,), output=source, preset="fast")
-    settings, _ = plan_job(request, None, 400)
+    options = {"inputs": (source,), "output": source, "preset": "fast", "block": 400}
+    settings, _ = plan_job(Request(goal=Goal(ratio=0.5), **options))
     with pytest.raises(NanogsError, match=f"On the worker {host}: job-0-00000 of the job"):
         do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, __version__)
     assert not (tmp_path / "scratch").exists()
@@ -274,8 +274,8 @@ def test_a_worker_with_too_few_processors_says_so(tmp_path):
 
     source, host = tmp_path / "in.ply", re.escape(socket.gethostname())
     nanogs.save(random_splats(9), source)
-    request = Request(goal=Goal(ratio=0.5), inputs=(source,), output=source, preset="fast")
-    settings, _ = plan_job(request, None, 400)
+    options = {"inputs": (source,), "output": source, "preset": "fast", "block": 400}
+    settings, _ = plan_job(Request(goal=Goal(ratio=0.5), **options))
     message = f"^On the worker {host}: threads must be from 1 to [0-9]+ on this machine, not 5000.$"
     with pytest.raises(OptionError, match=message) as caught:
         do_task(str(tmp_path / "scratch"), settings, Task("segment"), 5000, __version__)

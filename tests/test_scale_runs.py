@@ -411,8 +411,8 @@ def in_blocks(splats, folder, ratio, rounds):
     """Simplify a model in blocks; return the result, and the block of each original splat."""
     nanogs.save(splats, folder / "in.ply")
     options = {"preset": "fast", "overrides": {"rounds": rounds}, "output": folder / "out.ply"}
-    request = Request(goal=Goal(ratio=ratio), inputs=(folder / "in.ply",), **options)
-    settings, _ = plan_job(request, None, 2600)
+    request = Request(goal=Goal(ratio=ratio), inputs=(folder / "in.ply",), block=2600, **options)
+    settings, _ = plan_job(request)
     scratch, clock = FolderScratch(folder / "scratch"), StageClock()
     scratch.prepare()
     results = run_tasks(scratch, settings, InProcess(), 1, clock, Tracker(None, []), resumed=False)

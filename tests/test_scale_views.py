@@ -246,15 +246,15 @@ def test_the_scratch_takes_the_planned_disk_space(
     out, chosen = tmp_path / "a.ply", BLOCKS | {"block": block} | options
     nanogs.simplify_blocks(scene, out, ratio=ratio, **chosen)
     overrides = {name: chosen[name] for name in ("views", "view_size", "steps")}
-    request = {"preset": chosen["preset"], "overrides": overrides, "output": out}
-    plan = plan_job(Request(goal=Goal(ratio=ratio), inputs=(scene,), **request), None, block)[1]
+    request = {"preset": chosen["preset"], "overrides": overrides, "output": out, "block": block}
+    plan = plan_job(Request(goal=Goal(ratio=ratio), inputs=(scene,), **request))[1]
     assert plan.scratch == pytest.approx(found[0] + out.stat().st_size, rel=0.1)
 
 
 def test_a_level_of_all_splats_takes_no_disk_space_for_groups(scene, splats, tmp_path):
     def planned(*ratios):
-        request = {"inputs": (scene,), "output": tmp_path / "a", "preset": "fast"}
-        return plan_job(Request(goal=Goal(ratio=1), ratios=ratios, **request), None, 500)[1].scratch
+        request = {"inputs": (scene,), "output": tmp_path / "a", "preset": "fast", "block": 500}
+        return plan_job(Request(goal=Goal(ratio=1), ratios=ratios, **request))[1].scratch
 
     assert planned(1, 0.5) - planned(0.5) == 2 * len(model_bytes(splats))
 

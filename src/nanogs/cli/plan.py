@@ -18,9 +18,9 @@ from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, process_memory
 from nanogs.method.paper.parameters import PaperParameters
-from nanogs.pipeline.estimates.block_plan import BlockPlan
+from nanogs.pipeline.estimates.block_plan import BlockPlan, MemoryLimit
 from nanogs.pipeline.estimates.memory import MemoryPlan
-from nanogs.pipeline.in_blocks import block_memory, plan_job
+from nanogs.pipeline.in_blocks import plan_job, with_limit
 from nanogs.pipeline.in_memory import import_stages, usable_rows
 from nanogs.pipeline.job.cluster import executor_of
 from nanogs.pipeline.job.folder import MANIFEST
@@ -83,6 +83,12 @@ class Plan:
         return self.method.blocks.max_memory is None
 
     @property
+    def in_blocks(self) -> Request:
+        """The request with the memory of each process."""
+        limit = MemoryLimit.FREE if self.found_free else MemoryLimit.GIVEN
+        return replace(self.request, max_memory=self.process_memory, limit=limit)
+
+    @property
     def threads(self) -> int | None:
         """Number of threads of each process in blocks: workers share them if none was given."""
         asked, workers = self.request.threads, self.method.blocks.workers
@@ -135,12 +141,8 @@ class Plan:
         return replace(self, info=info, count=count, usable=len(rows))
 
     def _divide(self) -> tuple[Settings, BlockPlan]:
-        request, elsewhere = self.request, self.method.blocks.scheduler is not None
-        folder = request.folder if request.resume else None
-        size = block_memory(
-            self.process_memory, None, folder, elsewhere=elsewhere, found_free=self.found_free
-        )
-        return plan_job(request, *size)
+        elsewhere = self.method.blocks.scheduler is not None
+        return plan_job(with_limit(self.in_blocks, elsewhere=elsewhere))
 
     def notes(self) -> list[str]:
         """Return notes on the use of blocks and their options, one sentence each."""
@@ -259,11 +261,7 @@ def execute(plan: Plan, do: Callable[[Request], T]) -> T:
         import_stages(request.parameters)
     if plan.divided:
         with plan.executor() as executor, resumable(request.folder / MANIFEST):
-            request = replace(
-                request, executor=executor, max_memory=plan.process_memory,
-                found_free=plan.found_free, threads=plan.threads,
-            )  # fmt: skip
-            return do(request)
+            return do(replace(plan.in_blocks, executor=executor, threads=plan.threads))
     return do(request)
 
 

@@ -65,20 +65,17 @@ def fill_in_blocks(
     """
     start, clock = time.perf_counter(), StageClock()
     folder, goals = request.folder, request.goals
-    max_memory, block, limit = block_memory(
-        request.max_memory, request.block, folder if request.resume else None,
-        elsewhere=request.executor is not None, found_free=request.found_free,
-    )  # fmt: skip
-    settings, plan = plan_job(request, max_memory, block, limit)
+    option = "block" if request.block else "max_memory"
+    request = with_limit(request, elsewhere=request.executor is not None)
+    settings, plan = plan_job(request)
     # Imported here because these import Numba, which `--help` and `info` do without.
     from nanogs.pipeline.job.report import report_of
     from nanogs.pipeline.job.result_writer import ResultWriter
     from nanogs.pipeline.job.stored import BlockJob, Execution
 
-    allowed = request.max_memory if max_memory is None else max_memory
     if settings.search is None:
         most = request.counts(settings.splats, settings.result_layout)[0]
-        sink.refuse_large(most, row_bytes(settings.layout), allowed)
+        sink.refuse_large(most, row_bytes(settings.layout), request.max_memory)
     else:
         registry.writer(request.output)
     if not request.resume:
@@ -95,51 +92,35 @@ def fill_in_blocks(
     if settings.search is not None:
         from nanogs.pipeline.search.in_blocks import Search
 
-        search = Search(request.output, request.format_options, folder, allowed).find
+        search = Search(request.output, request.format_options, folder, request.max_memory).find
     measured = bool(request.measured) and request.goal.psnr is None
     costed = bool(request.measured) and request.goal.draw_cost is None
-    writer = ResultWriter(sink, reports, measured, allowed, costed)
+    writer = ResultWriter(sink, reports, measured, request.max_memory, costed)
     job = BlockJob(settings, folder, request.scratch, writer, search)
     execution = Execution(request.threads, request.executor, request.patience)
     try:
         done, written = job.run(execution, clock, on_step, resume=request.resume)
     except CrowdedError as error:
-        option = "block" if request.block else "max_memory"
         raise CrowdedError(f"{error}; raise `{option}`.") from None
     return written, reports(done, written)
 
 
-def block_memory(
-    max_memory: int | None,
-    block: int | None,
-    begun: Path | None,
-    *,
-    elsewhere: bool,
-    found_free: bool = False,
-) -> tuple[int | None, int | None, MemoryLimit]:
-    """Return the limit that determines the block size: memory of a process, or a splat count.
+def with_limit(request: "Request", *, elsewhere: bool) -> "Request":
+    """Return a request with what determines the block size: a number of splats, or memory.
 
     Args:
-        max_memory: Bytes that each process may take, or None.
-        block: Number of splats of a block, or None.
-        begun: Folder of a job to resume, or None.
+        request: The request; what it has already stays.
         elsewhere: Whether an executor does the work, on machines of unknown memory.
-        found_free: Whether `max_memory` is what was found free, and nobody asked for it.
-
-    Returns:
-        Bytes that each process may take, and number of splats of a block, one of which is None; and
-        the reason for the bytes.
     """
-    if block:
-        return None, block, MemoryLimit.GIVEN
-    if max_memory is not None:
-        return max_memory, None, MemoryLimit.FREE if found_free else MemoryLimit.GIVEN
-    found = read_manifest(begun) if begun else None
-    if found is not None:
-        return None, int(found[0]["block"]), MemoryLimit.GIVEN
+    if request.block or request.max_memory is not None:
+        return request
+    begun = read_manifest(request.folder) if request.resume else None
+    if begun is not None:
+        return replace(request, block=int(begun[0]["block"]))
     if elsewhere:
-        return DEFAULT_MEMORY, None, MemoryLimit.DEFAULT
-    return process_memory(allowed_memory(None)), None, MemoryLimit.FREE
+        return replace(request, max_memory=DEFAULT_MEMORY, limit=MemoryLimit.DEFAULT)
+    memory = process_memory(allowed_memory(None))
+    return replace(request, max_memory=memory, limit=MemoryLimit.FREE)
 
 
 def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters:
@@ -157,19 +138,11 @@ def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters
     return chosen
 
 
-def plan_job(
-    request: "Request",
-    max_memory: int | None,
-    block: int | None,
-    limit: MemoryLimit = MemoryLimit.GIVEN,
-) -> tuple[Settings, BlockPlan]:
+def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
     """Plan the job and its memory and disk use; only headers are read, with filters all rows.
 
     Args:
-        request: All arguments of the call.
-        max_memory: Bytes that a process may take; not needed if `block` is given.
-        block: Number of splats of a block, instead of as many as the memory allows.
-        limit: The reason for `max_memory`.
+        request: All arguments of the call; see `with_limit`.
 
     Raises:
         NanogsError: An input cannot be read, filters leave nothing or need the whole model, or
@@ -179,8 +152,7 @@ def plan_job(
     changes = request.changes()
     changes.check()
     inputs, layout = describe_inputs(request.inputs, changes)
-    allowed = request.max_memory if max_memory is None else max_memory
-    sought = search_target(request, layout, sum(each.splats for each in inputs), allowed)
+    sought = search_target(request, layout, sum(each.splats for each in inputs))
     seen = sought is not None and (sought.goal.is_measured or renders(chosen))
     if request.measured or seen:
         _refuse_no_room_to_measure(request, searched=seen)
@@ -191,9 +163,9 @@ def plan_job(
         counts = [] if sought else request.counts(splats, delivered)
         shares = tuple(count / splats for count in counts) or (1.0, 1.0)
         return plan_blocks(
-            splats, layout, chosen, shares, max_memory, block, request.chunks,
+            splats, layout, chosen, shares, request.max_memory, request.block, request.chunks,
             beside=pictures_bytes(PIXELS**2, VIEWS) if seen else 0,
-            limit=limit, searched=sought is not None,
+            limit=request.limit, searched=sought is not None,
         )  # fmt: skip
 
     plan = planned(sum(each.splats for each in inputs))
@@ -222,7 +194,8 @@ def plan_job(
         at_most=request.goal.size is not None,
     )
     _refuse_small_size(request, settings)
-    return settings, plan.unpacking(cost_of(settings), None if block else max_memory, limit)
+    max_memory = None if request.block else request.max_memory
+    return settings, plan.unpacking(cost_of(settings), max_memory, request.limit)
 
 
 def _refuse_no_room_to_measure(request: "Request", *, searched: bool) -> None:
@@ -236,8 +209,9 @@ def _refuse_no_room_to_measure(request: "Request", *, searched: bool) -> None:
         NotEnoughMemoryError: There is not.
     """
     remedy = "ask for a ratio or a count" if searched else "leave out the measurement"
+    allowed = request.max_memory if request.limit is MemoryLimit.GIVEN else None
     with Joined(open_parts(request.inputs, request.render_mode)) as source:
-        room_for_measuring(source, request.max_memory, remedy)
+        room_for_measuring(source, allowed, remedy)
 
 
 def _refuse_small_size(request: "Request", settings: Settings) -> None:
@@ -255,16 +229,13 @@ def _refuse_small_size(request: "Request", settings: Settings) -> None:
             request.refuse_small_size(some)
 
 
-def search_target(
-    request: "Request", layout: Layout, splats: int, max_memory: int | None
-) -> SearchTarget | None:
+def search_target(request: "Request", layout: Layout, splats: int) -> SearchTarget | None:
     """Return the target of the search for a count; None if the count is known beforehand.
 
     Args:
         request: All arguments of the call.
         layout: Columns of the model.
         splats: Number of splats of the model.
-        max_memory: Bytes that this process may take, or None for no limit.
 
     Raises:
         TooSmallError: It is known beforehand that not even one splat fits.
@@ -277,15 +248,15 @@ def search_target(
             return None
         request.counts(1, layout.reduced(0))
     options = options_text(request.format_options)
-    most = _held_whole(request, layout, max_memory)
+    most = _held_whole(request, layout)
     return SearchTarget(goal.size, goal.psnr, request.suffix, options, goal.draw_cost, most)
 
 
-def _held_whole(request: "Request", layout: Layout, max_memory: int | None) -> int | None:
+def _held_whole(request: "Request", layout: Layout) -> int | None:
     """Return `SearchTarget.most`; a job that is resumed keeps its own, to pack as it began."""
     begun = read_manifest(request.folder) if request.resume else None
     if begun is None:
-        return held_splats(request.output, row_bytes(layout), max_memory)
+        return held_splats(request.output, row_bytes(layout), request.max_memory)
     most: int | None = (begun[0].get("search") or {}).get("most")
     return most
 

@@ -21,6 +21,7 @@ from nanogs.io.url_files import refuse_address
 from nanogs.io.urls import Address, is_url
 from nanogs.memory import allowed_memory
 from nanogs.pipeline.checks import refuse_device, refuse_reduced, refuse_searches, refuse_small_size
+from nanogs.pipeline.estimates.block_plan import MemoryLimit
 from nanogs.pipeline.estimates.memory import (
     MemoryPlan,
     plan_chunks,
@@ -70,7 +71,7 @@ class Request:
         overrides: Parameters of the preset to replace, by name.
         measured: Whether the result is compared with the input as `nanogs compare` does it; None
             to do so if the preset renders anyway and the model is in memory.
-        found_free: Whether `max_memory` is what was found free, and nobody asked for it.
+        limit: The reason for `max_memory`.
         ratios: Ratios of levels, the finest first, which `goal` has too; empty for one file.
         chunks: How levels are divided or linked, or None for a file each.
         level_suffix: Format of the files of levels that are not divided or linked.
@@ -84,7 +85,7 @@ class Request:
     overrides: dict[str, Any] = field(default_factory=dict)
     measured: bool | None = False
     max_memory: int | None = None
-    found_free: bool = False
+    limit: MemoryLimit = MemoryLimit.GIVEN
     block: int | None = None
     job: Path | None = None
     scratch: str | None = None
