@@ -500,7 +500,7 @@ def broken(tmp_path):
 
 @pytest.mark.parametrize("given", ["memory", "file", "blocks", "named", "named in blocks"])
 def test_nonfinite_environments_are_refused_before_any_work(broken, tmp_path, monkeypatch, given):
-    for name in ("judged_levels", "fill_in_blocks"):
+    for name in ("requested_levels", "fill_in_blocks"):
         monkeypatch.setattr(levels_of_detail, name, None)
     options = {"layout": "streamed sog", "preset": "fast", "nan": "error"}
     options["block"] = 1000 if "blocks" in given else None

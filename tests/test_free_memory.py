@@ -20,8 +20,10 @@ from nanogs.io.files import splat_bytes
 from nanogs.io.gltf import packed_write
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
 from nanogs.memory_estimates import models_bytes
-from nanogs.pipeline.levels import judged_levels
+from nanogs.pipeline.levels import requested_levels
 from nanogs.pipeline.options.presets import effective, parameters
+from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.request import Request
 from nanogs.scoring.needed import needed_bytes
 from torchfiles import TorchFile, gsplat
 
@@ -278,8 +280,9 @@ def test_memory_for_measured_levels_includes_views_of_the_original(monkeypatch):
         "nanogs.pipeline.in_memory.refuse_too_large",
         lambda _what, needed, *_: requested.append(needed),
     )
+    request = Request(goal=Goal(ratio=0.5), ratios=(0.5,))
     for measure in (False, True):
-        judged_levels(splats, [0.5], judged=measure)
+        requested_levels(splats, request, None, judged=measure)
     views = 8 * 512 * 512 * 3 * 4
     assert requested[1] - requested[0] >= views
 
@@ -325,8 +328,6 @@ def test_too_little_memory_for_blocks_names_the_default_of_workers(scene, tmp_pa
 def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path, monkeypatch):
     from nanogs.pipeline.in_blocks import with_limit
     from nanogs.pipeline.job.folder import read_manifest
-    from nanogs.pipeline.options.target import Goal
-    from nanogs.pipeline.request import Request
 
     job, out = tmp_path / "job", tmp_path / "small.ply"
 

@@ -35,7 +35,7 @@ from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.files import checked_options, limit_degree
 from nanogs.pipeline.in_blocks import fill_in_blocks
 from nanogs.pipeline.in_memory import import_stages
-from nanogs.pipeline.levels import checked_ratios, judged_levels
+from nanogs.pipeline.levels import checked_ratios, requested_levels
 from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.pipeline.reading import ChangedModel, changed, read_changed, reading_stages
 from nanogs.pipeline.request import Plan, Request, plan_files
@@ -306,12 +306,7 @@ def _in_memory(
         whole = splats  # so that the splats of the environment are not held twice
     del model
     tracker = Tracker(on_step, _stages(request, len(splats)))
-    made = judged_levels(
-        splats, request.ratios, judged=request.is_compared, sharing=request.sharing,
-        preset=request.preset, sh_degree=request.sh_degree, cameras=request.cameras,
-        up=request.up, nan=request.nan, device=request.device, threads=request.threads,
-        max_memory=request.max_memory, progress=tracker.passing(), **request.overrides,
-    )  # fmt: skip
+    made = requested_levels(splats, request, tracker.passing(), judged=request.is_compared)
     judge, reports = None, []
     if request.is_compared:
         tracker.begin("measure")

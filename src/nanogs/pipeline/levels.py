@@ -10,16 +10,17 @@ from nanogs.bar import show_progress, wants_bar
 from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.errors import OptionError
-from nanogs.io.format import Sharing
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.checks import refuse_device
 from nanogs.pipeline.estimates.stage_weights import level_stage
 from nanogs.pipeline.in_memory import CheckedModel, Deliver, NanPolicy, check_model
-from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters
+from nanogs.pipeline.options.presets import DEFAULT_PRESET
 from nanogs.pipeline.options.target import Goal, target_count
+from nanogs.pipeline.request import Request
 from nanogs.progress import Progress, Tracker
+from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
-from nanogs.splats import Splats, check_degree, refuse_misaligned_elements
+from nanogs.splats import Splats, refuse_misaligned_elements
 
 if TYPE_CHECKING:
     from nanogs.views.cameras import Cameras
@@ -71,49 +72,43 @@ def levels(
             have a row for each splat, which would be lost.
         NotEnoughMemoryError: It takes more memory than is free or allowed.
     """
-    return judged_levels(
-        model, ratios, judged=False, preset=preset, sh_degree=sh_degree, cameras=cameras, up=up,
-        nan=nan, device=device, threads=threads, max_memory=max_memory, progress=progress,
-        **overrides,
+    ratios = checked_ratios(ratios)
+    request = Request(
+        goal=Goal(ratio=ratios[0]), ratios=ratios, preset=preset, overrides=overrides,
+        sh_degree=sh_degree, cameras=cameras, up=up, nan=nan, device=device, threads=threads,
+        max_memory=None if max_memory is None else as_bytes(max_memory),
     )  # fmt: skip
+    return requested_levels(model, request, progress, judged=False)
 
 
-def judged_levels(
-    model: Model,
-    ratios: Iterable[float],
-    *,
-    judged: bool,
-    sharing: Sharing | None = None,
-    preset: str = DEFAULT_PRESET,
-    sh_degree: int | None = None,
-    cameras: "Cameras | None" = None,
-    up: Sequence[float] | None = None,
-    nan: NanPolicy = "drop",
-    device: str | None = None,
-    threads: int | None = None,
-    max_memory: int | str | None = None,
-    progress: Progress | bool | None = None,
-    **overrides: Any,  # noqa: ANN401 - checked against the preset's parameters
+def requested_levels(
+    model: Model, request: Request, progress: Progress | bool | None, *, judged: bool
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
     """Make levels as `levels` does, with memory for measuring them against the model if `judged`.
 
-    `sharing` is how the splats of each level share harmonics, or None if each has its own. The
-    other arguments and the errors are those of `levels`.
+    Args:
+        model: The model, which is not changed, or a path.
+        request: The ratios, the preset and the other arguments of `levels`.
+        progress: As `levels` takes it.
+        judged: Whether the levels are compared with the model.
+
+    Raises:
+        NanogsError: As for `levels`.
     """
-    ratios = checked_ratios(ratios)
     wants_bar(progress)  # refuses what is no progress: the bar itself begins with the first level
-    refuse_device(device, preset, parameters(preset, overrides), Goal(ratio=ratios[0]))
-    check_degree(sh_degree)
+    refuse_device(request.device, request.preset, request.parameters, request.goal)
     from nanogs.threads import use_threads  # imported here because it imports Numba
 
-    with use_threads(threads):
+    with use_threads(request.threads):
         checked = check_model(
-            as_splats(model), preset, overrides, cameras, up, nan, sh_degree, sharing
-        )
-    counts = [target_count(len(checked.rows), ratio, None) for ratio in ratios]
+            as_splats(model), request.preset, request.overrides, request.cameras, request.up,
+            request.nan, request.sh_degree, request.sharing,
+        )  # fmt: skip
+    counts = [target_count(len(checked.rows), ratio, None) for ratio in request.ratios]
     refuse_misaligned_elements(checked.splats, counts[-1])
-    checked.refuse_too_large(counts[0], max_memory, judged=judged)
-    return _deliver(checked, [*zip(ratios, counts, strict=True)], device, threads, progress)
+    checked.refuse_too_large(counts[0], request.max_memory, judged=judged)
+    goals = [*zip(request.ratios, counts, strict=True)]
+    return _deliver(checked, goals, request.device, request.threads, progress)
 
 
 def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
