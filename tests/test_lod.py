@@ -187,7 +187,7 @@ def test_unknown_layouts_and_formats_are_refused_before_any_work(tmp_path, optio
         write_levels(tmp_path / "missing.ply", tmp_path / "l", [0.1], **options)
 
 
-@pytest.mark.parametrize("name", ["chunks", "inputs", "output", "goal", "ratio"])
+@pytest.mark.parametrize("name", ["block_layout", "inputs", "output", "goal", "ratio"])
 def test_options_that_levels_do_not_have_are_refused(splats, tmp_path, name):
     with pytest.raises(OptionError, match=f"has no parameter '{name}'"):
         write_levels(splats, tmp_path / "levels", RATIOS, preset="fast", **{name: 3})

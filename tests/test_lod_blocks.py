@@ -214,7 +214,7 @@ def test_levels_too_large_for_formats_that_are_written_whole_are_refused(tmp_pat
         sink = levels_folder.LevelsFolder(tmp_path / "l", overwrite=False, source="a", **given)
         sink.refuse_large(count, 200, 10**8)
 
-    for options in ({}, {"suffix": ".spz"}, {"chunks": Tiles(100)}):
+    for options in ({}, {"suffix": ".spz"}, {"block_layout": Tiles(100)}):
         refuse(10**6, **options)
     refuse(10**5 // 2, suffix=".sog")  # palettes take seven times as much, and fit
     with pytest.raises(
@@ -437,7 +437,7 @@ def test_a_disk_that_is_full_when_the_folder_is_moved_is_named_once(
 def test_file_names_cannot_lead_out_of_the_folder(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     sink = levels_folder.LevelsFolder(
-        tmp_path / "levels", overwrite=False, source="a.ply", chunks=Tiles(100)
+        tmp_path / "levels", overwrite=False, source="a.ply", block_layout=Tiles(100)
     )
     with pytest.raises(FormatError, match="mine"):
         sink.open(tmp_path / "made", {}).add_blocks(

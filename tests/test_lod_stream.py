@@ -29,7 +29,7 @@ from nanogs.lod import streamed_sog
 from nanogs.lod.boxes import box_around
 from nanogs.lod.cells import LEAF, divide
 from nanogs.lod.folder import LevelsFolder, made_files
-from nanogs.lod.layout import LodLayout, chunks_of, output_of
+from nanogs.lod.layout import LodLayout, block_layout_of, output_of
 from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.threads import most_threads, use_threads
 from supersplat_page import render_in_supersplat
@@ -332,7 +332,7 @@ def test_one_level_of_one_splat_or_of_coincident_splats(tmp_path):
 def test_a_level_is_freed_after_it_is_added(tmp_path):
     small = random_splats(200)
     array = weakref.ref(small.sh)
-    out = LevelsFolder(tmp_path, overwrite=True, source="", chunks=StreamedSog(50))
+    out = LevelsFolder(tmp_path, overwrite=True, source="", block_layout=StreamedSog(50))
     out = out.open(tmp_path, {})
     out.add(small)
     del small
@@ -523,7 +523,7 @@ def test_sizes_of_chunks_may_have_units(tmp_path):
 
 @pytest.mark.parametrize(("chunk", "least"), [(1, None), (3, None), (7, 4), (9, 5)])
 def test_any_size_of_chunks_is_possible(chunk, least):
-    layout = chunks_of(LodLayout.SOG, chunk, least, plain=False)
+    layout = block_layout_of(LodLayout.SOG, chunk, least, plain=False)
     assert (layout.most, layout.least) == (chunk, least or 1)
 
 

@@ -209,7 +209,7 @@ def test_several_top_tiles_share_a_root_without_content(splats, tmp_path):
 def laid_out(folder, layout, levels):
     """Write a tileset of the given levels, and return the path of its `tileset.json`."""
     _, report = nanogs.simplify(random_splats(20), ratio=0.5, preset="fast")
-    with LevelsFolder(folder, overwrite=False, source="a.ply", chunks=layout).filled() as out:
+    with LevelsFolder(folder, overwrite=False, source="a.ply", block_layout=layout).filled() as out:
         for level in levels:
             out.add(level)
         out.finish([report] * len(levels))

@@ -25,7 +25,7 @@ from nanogs.io.urls import as_paths, local_path, path_text
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
-from nanogs.lod.layout import LodLayout, chunks_of, refuse_misnamed
+from nanogs.lod.layout import LodLayout, block_layout_of, refuse_misnamed
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.lod.usual import default_ratios
@@ -144,11 +144,11 @@ def write_levels(
         raise OptionError(f"`source` is the name of the model, not {source!r}.")
     request = Request(
         inputs=files, output=local_path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
-        chunks=chunks_of(layout, chunk, chunk_min, plain=plain, place=place), frame=frame,
+        block_layout=block_layout_of(layout, chunk, chunk_min, plain=plain, place=place),
         level_suffix=registry.suffix_of(suffix), overwrite=overwrite, measured=measured,
-        overrides=overrides, **given,
+        frame=frame, overrides=overrides, **given,
     )  # fmt: skip
-    if request.chunks and request.level_suffix not in (PLY, request.chunks.suffix):
+    if request.block_layout and request.level_suffix not in (PLY, request.block_layout.suffix):
         raise OptionError(
             f'The layout "{LodLayout(layout)}" has a format of its own; leave out `suffix`, or'
             f' write the layout "{LodLayout.FILES}".'
@@ -215,14 +215,14 @@ def sink_of(
     name = source or ", ".join(path.name for path in request.inputs) or "a model"
     if layout == LodLayout.TREE:
         return LevelsTree(request.output, request.overwrite, name)
-    chunks = request.chunks if isinstance(request.chunks, ChunkLayout) else None
+    chunked = request.block_layout if isinstance(request.block_layout, ChunkLayout) else None
     sink = LevelsArchive if layout == LodLayout.ARCHIVE else LevelsFolder
     options = request.format_options
     if request.frame is not None:
         refuse_frame_written(request.frame, request.file)
-    if chunks is None:
+    if chunked is None:
         options = registry.add_target_frame(request.file, options, request.frame)
-    return sink(request.output, request.overwrite, name, chunks, request.level_suffix, options)
+    return sink(request.output, request.overwrite, name, chunked, request.level_suffix, options)
 
 
 def write_levels_of_files(
@@ -246,7 +246,7 @@ def write_levels_of_files(
         request.refuse_device_in_blocks()
         unstated = (*unstated, *device_notes(request.device, CPU))
     # If levels are turned, the sink already has the options that state the frame they get.
-    if isinstance(sink, LevelsFolder) and sink.chunks is None and request.frame is None:
+    if isinstance(sink, LevelsFolder) and sink.block_layout is None and request.frame is None:
         sink = replace(sink, format_options=options)
     if plan.divided:
         with use_threads(request.threads):  # limits the threads of planning too

@@ -142,7 +142,7 @@ class OpenSink(ABC):
         """Write the next result, given whole, and report the progress."""
 
     def add_blocks(self, blocks: Iterable[BlockChunks]) -> None:
-        """Write the next result, given as blocks whose files the sink's `chunks` have made."""
+        """Write the next result, given as blocks whose files the sink's layout has made."""
         raise NotImplementedError
 
     def add_trees(
@@ -211,7 +211,7 @@ class Sink(Protocol):
         """Whether an existing output is replaced, if it is of a kind that may be."""
 
     @property
-    def chunks(self) -> Chunked | Linked | None:
+    def block_layout(self) -> Chunked | Linked | None:
         """The layout that divides or links results; None if each result is one file."""
 
     @property
@@ -298,7 +298,7 @@ class OneFile(InOneFile):
     place: Path
     overwrite: bool
     format_options: FormatOptions | None = None
-    chunks: None = None
+    block_layout: None = None
     environment: None = None
 
     @property

@@ -127,7 +127,7 @@ def lod(
         from nanogs.environments import surroundings
         from nanogs.io.collect import Pair
         from nanogs.io.url_files import refuse_address
-        from nanogs.lod.layout import chunks_of, output_of
+        from nanogs.lod.layout import block_layout_of, output_of
         from nanogs.pipeline.levels import checked_ratios
         from nanogs.pipeline.options.target import Goal
 
@@ -142,7 +142,7 @@ def lod(
         request=plan.request_of(
             method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder,
             overwrite=overwrite, ratios=ratios, device=device, level_suffix=output.suffix,
-            chunks=chunks_of(
+            block_layout=block_layout_of(
                 output.layout, chunk, chunk_min, plain=plain, place=placing.place
             ),
         ),

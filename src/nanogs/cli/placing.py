@@ -99,7 +99,7 @@ class Placing:
 
     @property
     def place(self) -> "Place | F64 | None":
-        """The requested place, an argument of `chunks_of`; None if no option is given.
+        """The requested place, an argument of `block_layout_of`; None if no option is given.
 
         Raises:
             OptionError: Both kinds of options are given, longitude or latitude is missing, or a

@@ -34,8 +34,8 @@ class LevelsArchive(InOneFile, LevelsFolder):
         folder = making.with_name(f"{making.name}.folder")
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        assert self.chunks is not None, "there are no others in an archive"  # noqa: S101
-        return ArchiveFilling(folder, self.source, self.chunks, making, self.environment)
+        assert self.block_layout is not None, "there are no others in an archive"  # noqa: S101
+        return ArchiveFilling(folder, self.source, self.block_layout, making, self.environment)
 
     @contextmanager
     def filled(self) -> Iterator["ArchiveFilling"]:

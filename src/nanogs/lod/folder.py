@@ -40,7 +40,7 @@ class LevelsFolder:
         place: The folder to make.
         overwrite: Replace the folder if it holds nothing but earlier levels.
         source: Name of the model for the manifest.
-        chunks: The layout that divides levels into chunks; None for one file per level.
+        block_layout: The layout that divides levels into chunks; None for one file per level.
         suffix: Format of the files in a folder with one file per level.
         format_options: Options of that format, as `save` takes them.
         environment: The environment drawn with every level, for layouts that support one.
@@ -49,7 +49,7 @@ class LevelsFolder:
     place: Path
     overwrite: bool
     source: str
-    chunks: ChunkLayout | None = None
+    block_layout: ChunkLayout | None = None
     suffix: str = PLY
     format_options: FormatOptions | None = None
     environment: Environment | None = None
@@ -64,7 +64,7 @@ class LevelsFolder:
 
     def refuse_large(self, count: int, row: int, max_memory: int | None) -> None:
         """Refuse levels in files of their own that are too large to be held; see `Sink`."""
-        if self.chunks is None:
+        if self.block_layout is None:
             place = self.place / level_name(0, self.suffix)
             remedy = "leave the format of the levels out, which is .ply then"
             refuse_large(place, count, row, max_memory, self.format_options, remedy)
@@ -90,9 +90,9 @@ class LevelsFolder:
             yield self._filling(making)
 
     def _filling(self, making: Path) -> "LevelsFilling":
-        if self.chunks is None:
+        if self.block_layout is None:
             return _Files(making, self.source, self.suffix, self.format_options)
-        return ChunksFilling(making, self.source, self.chunks, self.environment)
+        return ChunksFilling(making, self.source, self.block_layout, self.environment)
 
     def move(self, made: Path) -> None:
         """Move the finished folder to `place`; see `Sink`."""
@@ -100,7 +100,7 @@ class LevelsFolder:
 
     def files(self, made: Path) -> Sequence[str]:
         """Return all files of the folder, that which describes them first; see `Sink`."""
-        first = self.chunks.name if self.chunks else manifest.NAME
+        first = self.block_layout.name if self.block_layout else manifest.NAME
         return (first, *sorted((made_files(made) or frozenset()) - {first}))
 
 

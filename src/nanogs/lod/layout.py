@@ -145,7 +145,7 @@ def refuse_misnamed(path: Path, layout: LodLayout) -> None:
         )
 
 
-def chunks_of(
+def block_layout_of(
     layout: LodLayout | str,
     chunk: int | None,
     chunk_min: int | None = None,

@@ -29,13 +29,13 @@ class LevelsTree(InOneFile):
         place: The file to make.
         overwrite: Whether an existing file is replaced.
         source: Name of the model for the manifest.
-        chunks: The layout that links levels made in blocks.
+        block_layout: The layout that links levels made in blocks.
     """
 
     place: Path
     overwrite: bool
     source: str
-    chunks: Linked = field(default_factory=Linked)
+    block_layout: Linked = field(default_factory=Linked)
     suffix: str = SUFFIX
     format_options: None = None
     environment: None = None

@@ -163,7 +163,7 @@ def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
         counts = [] if sought else request.counts(splats, delivered)
         shares = tuple(count / splats for count in counts) or (1.0, 1.0)
         return plan_blocks(
-            splats, layout, chosen, shares, request.max_memory, request.block, request.chunks,
+            splats, layout, chosen, shares, request.max_memory, request.block, request.block_layout,
             beside=pictures_bytes(PIXELS**2, VIEWS) if seen else 0,
             limit=request.limit, searched=sought is not None,
         )  # fmt: skip
@@ -183,7 +183,7 @@ def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
         nan=request.nan,
         block=plan.block,
         parameters=chosen,
-        chunks=request.chunks,
+        block_layout=request.block_layout,
         filters=sieve,
         frame=changes.frame,
         sh_degree=request.sh_degree,

@@ -24,7 +24,7 @@ from nanogs.pipeline.checks import refuse_device, refuse_reduced, refuse_searche
 from nanogs.pipeline.estimates.block_plan import MemoryLimit
 from nanogs.pipeline.estimates.memory import (
     MemoryPlan,
-    plan_chunks,
+    plan_levels,
     plan_memory,
     plan_search,
     plan_writing,
@@ -73,7 +73,7 @@ class Request:
             to do so if the preset renders anyway and the model is in memory.
         limit: The reason for `max_memory`.
         ratios: Ratios of levels, the finest first, which `goal` has too; empty for one file.
-        chunks: How levels are divided or linked, or None for a file each.
+        block_layout: How levels are divided or linked, or None for a file each.
         level_suffix: Format of the files of levels that are not divided or linked.
         environment: Text that identifies the environment written beside levels; empty for none.
     """
@@ -104,7 +104,7 @@ class Request:
     patience: float = PATIENCE
     format_options: FormatOptions | None = None
     ratios: Sequence[float] = ()
-    chunks: Chunked | Linked | None = None
+    block_layout: Chunked | Linked | None = None
     level_suffix: str = ".ply"
     environment: str = ""
 
@@ -190,7 +190,7 @@ class Request:
     @property
     def file(self) -> Path:
         """The output, or for levels an example of the name of a file that holds splats."""
-        suffix = self.chunks.suffix if self.chunks else self.level_suffix
+        suffix = self.block_layout.suffix if self.block_layout else self.level_suffix
         return Path(f"level_0{suffix}") if self.ratios else self.output
 
     @property
@@ -201,7 +201,7 @@ class Request:
     @property
     def sharing(self) -> Sharing | None:
         """How splats share harmonics in each file; None if each has its own or files hold parts."""
-        if self.chunks is not None:
+        if self.block_layout is not None:
             return None
         return shared_in_file(self.goal, self.written_format, self.format_options or {})
 
@@ -383,9 +383,9 @@ def memory_of(request: Request, splats: int, degree: int, extra: int, target: in
     plan = plan_memory(splats, degree, extra, request.parameters, target, judged=judged)
     if searched:
         plan = plan_search(plan, splats, request.goal, registry.writable(request.output))
-    if request.chunks is None:
+    if request.block_layout is None:
         known = request.written_format
         if known.needs_whole_model(request.format_options or {}):
             return plan_writing(plan, splats, target, known)
         return plan
-    return plan_chunks(plan, splats, degree, target, request.ratios, request.chunks)
+    return plan_levels(plan, splats, degree, target, request.ratios, request.block_layout)

@@ -276,11 +276,11 @@ def _corrects(step: int, job: Settings | Load) -> bool:
 
 
 def _in_chunks(settings: Settings) -> bool:
-    return isinstance(settings.chunks, Chunked)
+    return isinstance(settings.block_layout, Chunked)
 
 
 def _in_a_tree(settings: Settings) -> bool:
-    return isinstance(settings.chunks, Linked)
+    return isinstance(settings.block_layout, Linked)
 
 
 def _unpacks(settings: Settings) -> bool:

@@ -10,7 +10,7 @@ from nanogs.errors import OptionError
 from nanogs.formatting import counted, exact_text
 from nanogs.io import check_writable, registry
 from nanogs.levels_of_detail import sink_of
-from nanogs.lod.layout import Output, chunks_of, output_of
+from nanogs.lod.layout import Output, block_layout_of, output_of
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, PRESETS, renders
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
@@ -99,9 +99,9 @@ class SaveRequest:
             check_writable(self.path, overwrite=self.overwrite)
             return
         output, finest = self.output, Goal(ratio=self.choice.levels[0])
-        chunks = chunks_of(output.layout, None, plain=False)
+        block_layout = block_layout_of(output.layout, None, plain=False)
         request = Request(
-            goal=finest, output=output.folder, overwrite=self.overwrite, chunks=chunks,
+            goal=finest, output=output.folder, overwrite=self.overwrite, block_layout=block_layout,
             ratios=self.choice.levels, level_suffix=output.suffix,
         )  # fmt: skip
         sink_of(request, layout=output.layout).check()

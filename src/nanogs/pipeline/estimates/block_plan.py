@@ -89,7 +89,7 @@ def plan_blocks(
     shares: tuple[float, ...],
     max_memory: int | None,
     block: int | None = None,
-    chunks: Chunked | Linked | None = None,
+    block_layout: Chunked | Linked | None = None,
     *,
     beside: int = 0,
     limit: MemoryLimit = MemoryLimit.GIVEN,
@@ -104,7 +104,7 @@ def plan_blocks(
         shares: Share of the splats that each result keeps.
         max_memory: Bytes that a process may take; not needed if `block` is given.
         block: Splats of a block, in place of what memory allows.
-        chunks: How results are divided or linked, or None if each is one file.
+        block_layout: How results are divided or linked, or None if each is one file.
         beside: Bytes that the process holds besides its task.
         limit: The reason for `max_memory`.
         searched: Whether the count of the result is searched for.
@@ -112,8 +112,9 @@ def plan_blocks(
     Raises:
         OptionError: The memory is too little for any block.
     """
-    row, share = row_bytes(layout), max(shares)
-    encoding = chunks.encoding(row, layout.sh_degree, splats, shares) if chunks else Encoding()
+    row, share, encoding = row_bytes(layout), max(shares), Encoding()
+    if block_layout is not None:
+        encoding = block_layout.encoding(row, layout.sh_degree, splats, shares)
     if block is None:
         room = _room(max_memory or 0) - beside
         block = encoding.most(room, _largest_block(room, splats, layout, parameters, share))
@@ -130,7 +131,7 @@ def plan_blocks(
     tasks = held_bytes(held, splats, layout, parameters, share)
     scratch = scratch_bytes(
         splats, block, blocks, layout, parameters, shares,
-        encoded=chunks is not None, searched=searched,
+        encoded=block_layout is not None, searched=searched,
     )  # fmt: skip
     return BlockPlan(
         splats=splats,

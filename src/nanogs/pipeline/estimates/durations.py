@@ -26,8 +26,8 @@ from nanogs.progress import Stage
 def job_stages(settings: Settings) -> list[Stage]:
     """List the stages of a job in blocks, each weighted by its estimated duration."""
     ratios = settings.ratios or tuple(count / settings.splats for count in settings.counts)
-    chunks, millions = settings.chunks, settings.splats / 1e6
-    encoding = chunks.weight if chunks else 1.0
+    block_layout, millions = settings.block_layout, settings.splats / 1e6
+    encoding = block_layout.weight if block_layout else 1.0
     stages = []
     for stage, level in stages_of(settings):
         share = ratios[level] if stage.levels is None else 1.0
@@ -39,7 +39,7 @@ def job_stages(settings: Settings) -> list[Stage]:
             sought.goal.is_measured, settings.parameters, splats, sought.suffix
         )
         stages += [*before, *after]
-    writing = chunks.weight * sum(ratios) if isinstance(chunks, Linked) else 0.1
+    writing = block_layout.weight * sum(ratios) if isinstance(block_layout, Linked) else 0.1
     return [*stages, Stage("write", writing * millions)]
 
 

@@ -117,13 +117,13 @@ def plan_search(plan: MemoryPlan, splats: int, goal: Goal, known: Format) -> Mem
     return plan.with_stage("encode", held)
 
 
-def plan_chunks(
+def plan_levels(
     plan: MemoryPlan,
     splats: int,
     degree: int,
     target: int,
     ratios: Sequence[float],
-    chunks: Chunked | Linked,
+    block_layout: Chunked | Linked,
 ) -> MemoryPlan:
     """Add the memory of encoding levels as chunks or as a tree.
 
@@ -133,12 +133,12 @@ def plan_chunks(
         degree: Degree of its spherical harmonics.
         target: Number of splats of the finest level.
         ratios: Ratios of the levels.
-        chunks: The layout that divides or links them.
+        block_layout: The layout that divides or links them.
     """
     row = plan.input_columns // max(splats, 1)
-    if isinstance(chunks, Linked):
-        return plan.with_stage("tree", plan.input_columns + target * chunks.whole(row))
-    file = chunks.encoding(row, degree, splats, ratios).file
+    if isinstance(block_layout, Linked):
+        return plan.with_stage("tree", plan.input_columns + target * block_layout.whole(row))
+    file = block_layout.encoding(row, degree, splats, ratios).file
     # Each level is encoded before the next one is cut, while the data for cuts stays in memory.
     held = plan.stages.get("cut", plan.input_columns) + target * (row + PLACED) + file
     return plan.with_stage("encode", int(held))

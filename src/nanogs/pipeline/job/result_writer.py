@@ -92,12 +92,12 @@ class ResultWriter:
         try:
             filling, work = self.sink.open(made, done.fields.get("format_options", {})), done.work
             on_progress: PartProgress = progress.part
-            if isinstance(self.sink.chunks, Linked) and (levels := linked_levels(work)):
+            if isinstance(self.sink.block_layout, Linked) and (levels := linked_levels(work)):
                 filling.add_trees(trees_of(work), levels, even_sample(work), on_progress)
                 # `finish` writes everything, and reports the progress itself.
                 on_progress = ignore_progress
             for number, level in enumerate(done.levels):
-                if not isinstance(self.sink.chunks, Chunked):
+                if not isinstance(self.sink.block_layout, Chunked):
                     on_progress(number, len(done.levels))
                     with result_of(work, level) as source:
                         filling.add(source)

@@ -44,7 +44,7 @@ _GIVEN = {
     "search": _WISH,
     "nan": "`nan`",
     "parameters": "the preset or its parameters",
-    "chunks": "how levels are divided, or their place on Earth",
+    "block_layout": "how levels are divided, or their place on Earth",
     "filters": "the filters",
     "frame": "`frame`",
     "asked": "the views (`cameras`, `up`)",
@@ -150,7 +150,7 @@ class Settings:
         nan: "drop" or "error".
         block: Largest number of splats of a block.
         parameters: Of the forest.
-        chunks: How results are divided or linked, or None if each is one file.
+        block_layout: How results are divided or linked, or None if each is one file.
         filters: The filters, and the number of rows they leave; None without any.
         frame: Frames from and to which results are turned, or None.
         asked: The views that were asked for.
@@ -170,7 +170,7 @@ class Settings:
     nan: str
     block: int
     parameters: ForestParameters
-    chunks: Chunked | Linked | None = None
+    block_layout: Chunked | Linked | None = None
     filters: FilterCounts | None = None
     frame: tuple[str, str] | None = None
     asked: RequestedViews = AUTOMATIC
@@ -249,14 +249,14 @@ class Settings:
     @property
     def chunked(self) -> Chunked:
         """How results are divided into chunks, in jobs that do so."""
-        assert isinstance(self.chunks, Chunked), "this is asked in jobs with chunks"  # noqa: S101
-        return self.chunks
+        assert isinstance(self.block_layout, Chunked), "this is asked in jobs with chunks"  # noqa: S101
+        return self.block_layout
 
     @property
     def linked(self) -> Linked:
         """How results are linked to a tree, in jobs that do so."""
-        assert isinstance(self.chunks, Linked), "this is asked in jobs of trees"  # noqa: S101
-        return self.chunks
+        assert isinstance(self.block_layout, Linked), "this is asked in jobs of trees"  # noqa: S101
+        return self.block_layout
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, as `json.dumps` takes it."""
