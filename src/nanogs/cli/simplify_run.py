@@ -48,11 +48,9 @@ def run_one(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
         for note in plan.notes():
             warn(note)
     if method.dry_run:
-        shown, goal = plan.shown(), plan.request.goal
-        asked: dict[str, Any] = {"asked_ratio": goal.ratio, "asked_count": shown.count}
-        asked |= {"asked_size": goal.size, "asked_psnr": goal.psnr}
-        asked |= {"asked_draw_cost": goal.draw_cost}
-        return Run(shown, {"input": plan.name} | asked)
+        shown = plan.shown()
+        asked = {"asked_count": shown.count, **plan.request.goal.reported}
+        return Run(shown, {"input": plan.name, **asked})
     return _made(plan, progress)
 
 
