@@ -5,7 +5,7 @@ forest, to get near the count; then with full results, measured as they are deli
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from nanogs.costs import DrawCost
@@ -35,11 +35,6 @@ class Found:
     count: int
     probes: tuple[DrawProbeReport, ...]
     stop: StopReason
-
-    @property
-    def power(self) -> float:
-        """Exponent with which the share grows with the count, from the two latest probes."""
-        return _power(self.probes)
 
 
 def search_share(
@@ -127,7 +122,8 @@ def _next(
     return round(latest.count * factor)
 
 
-def _power(probes: "list[DrawProbeReport] | tuple[DrawProbeReport, ...]") -> float:
+def _power(probes: Sequence[DrawProbeReport]) -> float:
+    """Return the exponent with which the share grows with the count, from the two latest probes."""
     if len(probes) < 2:
         return POWER
     first, second = probes[-2:]
@@ -183,7 +179,7 @@ def search_draw_cost(
         quick = attempts(results.plain(rounds=0), quick_share_of)
         near = search_share(quick, asked, *limits, guess, quick=True)
         del quick  # frees the result that it holds
-        probes, guess, power = near.probes, near.count, near.power
+        probes, guess, power = near.probes, near.count, _power(near.probes)
         progress.begin("deliver")
     if tried.best is not None:
         probes, found = (), Found(results.available, (), StopReason.TARGET)

@@ -5,7 +5,7 @@ are made and measured as they are delivered, until one is within `NEAR_DB` above
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from nanogs.pipeline.estimates.stage_weights import COUNTS
@@ -42,11 +42,6 @@ class Found:
     count: int
     probes: tuple[ProbeReport, ...]
     stop: StopReason
-
-    @property
-    def slope(self) -> float:
-        """Slope of the PSNR over the logarithm of the count, from the two latest probes, dB."""
-        return _slope(self.probes)
 
 
 def search_count(
@@ -169,10 +164,11 @@ def _beyond(probes: list[ProbeReport], asked: float, most: int, slope: float | N
     return most if step > 0 and count > FAR * most else count
 
 
-def _slope(probes: "list[ProbeReport] | tuple[ProbeReport, ...]") -> float:
+def _slope(probes: Sequence[ProbeReport]) -> float:
+    """Return the slope of the PSNR over the log of the count, dB, from the two latest probes."""
     if len(probes) < 2:
         return USUAL_SLOPE
-    (first, second) = probes[-2:]
+    first, second = probes[-2:]
     rise = second.psnr - first.psnr
     if not math.isfinite(rise):
         return SLOPES[1]
@@ -242,7 +238,7 @@ def reach_psnr(
     progress.begin("search")
     if results.looks:
         near = search_count(attempts(results.plain(rounds=0)), asked, *limits, guess, quick=True)
-        probes, slope = near.probes, near.slope
+        probes, slope = near.probes, _slope(near.probes)
         if _hopeless(near, asked):
             return _whole(results, near, progress)
         delivered, guess = pack(near.count)
