@@ -13,7 +13,7 @@ from nanogs.clock import StageClock
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
 from nanogs.pipeline import work
 from nanogs.pipeline.search.file_size import ENOUGH
-from nanogs.pipeline.search.in_blocks import TRIED, Search
+from nanogs.pipeline.search.in_blocks import TRIED, JobFiles
 from nanogs.pipeline.search.job_results import COUNT, MEASURED, JobResults
 from nanogs.pipeline.search.psnr import NEAR_DB
 from nanogs.pipeline.tasks.budget import budget
@@ -393,8 +393,8 @@ def test_a_result_too_large_to_be_written_whole_is_refused(scene, tmp_path, monk
 
 
 def test_a_file_to_be_measured_is_removed_whatever_happens(tmp_path):
-    search = Search(tmp_path / "out.spz", None, tmp_path, None)
-    with suppress(ZeroDivisionError), search.written(InMemory(random_splats(10)), {}) as path:
+    files = JobFiles(tmp_path / "out.spz", {}, tmp_path, None, None, StageClock())
+    with suppress(ZeroDivisionError), files.written(InMemory(random_splats(10)), {}) as path:
         assert path.exists()
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []

@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,9 +91,11 @@ def fill_in_blocks(
 
     search = None
     if settings.search is not None:
-        from nanogs.pipeline.search.in_blocks import Search
+        from nanogs.pipeline.search.in_blocks import find_in_blocks
 
-        search = Search(request.output, request.format_options, folder, request.max_memory).find
+        search = partial(
+            find_in_blocks, request.output, request.format_options, folder, request.max_memory
+        )
     measured = bool(request.measured) and request.goal.psnr is None
     costed = bool(request.measured) and request.goal.draw_cost is None
     writer = ResultWriter(sink, reports, measured, request.max_memory, costed)

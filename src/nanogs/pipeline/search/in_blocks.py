@@ -32,72 +32,44 @@ from nanogs.store.columns import row_bytes
 TRIED = ".nanogs-tried"  # a file that is written to be measured; the job deletes it
 
 
-@dataclass(frozen=True, slots=True)
-class Search:
-    """Searches for the count of a result in blocks that meets a target; see `SearchTarget`.
+def find_in_blocks(
+    output: Path,
+    options: FormatOptions | None,
+    folder: Path,
+    max_memory: int | None,
+    work: Work,
+    run: Run,
+    progress: Tracker,
+) -> Done:
+    """Find the result of a job that meets its target; see `SearchTarget`.
 
-    Attributes:
+    Args:
         output: Path of the file to be written.
         options: Of its format.
         folder: Folder of the job, where files are written to be measured.
         max_memory: Bytes that this process may take; by default what is free.
+        work: The job; the stages before the results are done.
+        run: Does its tasks.
+        progress: Notified of each stage.
+
+    Raises:
+        TooSmallError: No result is as small as asked.
+        OptionError: A result is too large to be written.
+        ModelError: A PSNR or a draw cost is asked of a model that shows nothing.
     """
-
-    output: Path
-    options: FormatOptions | None
-    folder: Path
-    max_memory: int | None
-
-    def find(self, work: Work, run: Run, progress: Tracker) -> Done:
-        """Find the result that meets the target.
-
-        Args:
-            work: The job; the stages before the results are done.
-            run: Does its tasks.
-            progress: Notified of each stage.
-
-        Raises:
-            TooSmallError: No result is as small as asked.
-            OptionError: A result is too large to be written.
-            ModelError: A PSNR or a draw cost is asked of a model that shows nothing.
-        """
-        settings, sought = work.settings, work.settings.search
-        assert sought is not None  # noqa: S101 - a search has a target
-        goal = sought.goal
-        request = SizeRequest(
-            goal.size or 0,
-            registry.writable(self.output),
-            self.options or {},
-            settings.sh_degree,
-            looks=renders(settings.parameters),
-            most=sought.most,
-        )
-        results, files = JobResults(work, run, settings), _Files(self, work, run.clock)
-        sample_of_work = partial(_sample, work)
-        result, fields, notes = find_result(
-            goal, request, lambda: results, sample_of_work, files, progress, self.max_memory
-        )
-        return Done(result.work, run.kept, (result.level,), fields, notes)
-
-    @contextmanager
-    def written(self, source: Source, options: Mapping[str, Any]) -> Iterator[Path]:
-        """Write a file of a result, with further options of the format; delete it afterwards."""
-        self.refuse_large(source, options)
-        path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
-        try:
-            write_model(source, path, overwrite=True, format_options=self.with_given(options))
-            yield path
-        finally:
-            path.unlink(missing_ok=True)
-
-    def refuse_large(self, source: Source, options: Mapping[str, Any]) -> None:
-        """Refuse a result whose file would have to be written from more memory than is allowed."""
-        row, given = row_bytes(source.columns), self.with_given(options)
-        refuse_large(self.output, source.count, row, self.max_memory, given)
-
-    def with_given(self, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the format options that the caller has given, and further ones, which prevail."""
-        return {**(self.options or {}), **options}
+    settings, sought = work.settings, work.settings.search
+    assert sought is not None  # noqa: S101 - a search has a target
+    goal, known, given = sought.goal, registry.writable(output), options or {}
+    looks = renders(settings.parameters)
+    request = SizeRequest(
+        goal.size or 0, known, given, settings.sh_degree, looks=looks, most=sought.most
+    )
+    results = JobResults(work, run, settings)
+    files = JobFiles(output, given, folder, max_memory, work, run.clock)
+    result, fields, notes = find_result(
+        goal, request, lambda: results, partial(_sample, work), files, progress, max_memory
+    )
+    return Done(result.work, run.kept, (result.level,), fields, notes)
 
 
 def _sample(work: Work) -> Splats:
@@ -110,20 +82,32 @@ def turned_back(source: Source, result: Result) -> Source:
 
 
 @dataclass(eq=False)
-class _Files:
-    """Writes and measures results of a job; see `files.Files`."""
+class JobFiles:
+    """Writes and measures results of a job; see `files.Files`.
 
-    search: Search
+    Attributes:
+        output: Path of the result's file; those that are measured have its format.
+        given: Options of the format that the caller gives.
+        folder: Folder of the job, where files are written to be measured.
+        max_memory: Bytes that this process may take; by default what is free.
+        work: The job.
+        clock: Gets the seconds of each stage.
+    """
+
+    output: Path
+    given: FormatOptions
+    folder: Path
+    max_memory: int | None
     work: Work
     clock: StageClock
 
     @cached_property
     def views(self) -> SelectionViews:
         """The original on the views to choose by, which are not those that judge the result."""
-        sought, most = self.work.settings.search, self.search.max_memory
+        sought = self.work.settings.search
         by_psnr = sought is not None and sought.psnr is not None
         with self.open_original() as original:
-            return selection_views(original, most, automatic=by_psnr)
+            return selection_views(original, self.max_memory, automatic=by_psnr)
 
     def open_original(self) -> AbstractContextManager[Source]:
         """Open the model of the job; see `Files.open_original`."""
@@ -135,16 +119,16 @@ class _Files:
 
     def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
         """Return the size of a file of some splats, bytes, in the frame that was asked for."""
-        given, frame = self.search.with_given(options), self.work.settings.frame
+        given, frame = {**self.given, **options}, self.work.settings.frame
         with self.clock.time("encode"):
-            return encoded_bytes(turned(some, frame), self.search.output, given)
+            return encoded_bytes(turned(some, frame), self.output, given)
 
     def bytes_of(self, result: Result, options: Mapping[str, Any]) -> int:
         """Return the size of a result's file, bytes."""
         with (
             self.clock.time("encode"),
             result_of(result.work, result.level) as source,
-            self.search.written(source, options) as path,
+            self.written(source, options) as path,
         ):
             return bytes_on_disk(path)
 
@@ -159,9 +143,9 @@ class _Files:
             with self.clock.time("encode"):
                 source = opened_files.enter_context(result_of(result.work, result.level))
                 bare = Reduced(source, sh_degree)
-                given = self.search.with_given(options)
-                options = {**options, **derived_options(bare, self.search.output, given)}
-                path = opened_files.enter_context(self.search.written(bare, options))
+                given = {**self.given, **options}
+                options = {**options, **derived_options(bare, self.output, given)}
+                path = opened_files.enter_context(self.written(bare, options))
                 size = bytes_on_disk(path)
             file = opened_files.enter_context(open_model(path))
             with self.clock.time("measure"):
@@ -171,16 +155,16 @@ class _Files:
     @contextmanager
     def stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
         """Open a result as its file holds or shows it; see `Files.stored`."""
-        known = registry.writable(self.search.output)
+        known = registry.writable(self.output)
         with result_of(result.work, result.level) as source:
             if known.suffix == ".ply":
                 yield turned_back(source, result)
                 return
             if known.shown is not None:
-                self.search.refuse_large(source, options)
+                self._refuse_large(source, options)
                 yield turned_back(InMemory(known.shown(source.load())), result)
                 return
-            with self.search.written(source, options) as path, open_model(path) as file:
+            with self.written(source, options) as path, open_model(path) as file:
                 yield turned_back(file, result)
 
     @contextmanager
@@ -188,3 +172,20 @@ class _Files:
         """Open a result as it is in the files of the job; see `Files.unwritten`."""
         with result_of(result.work, result.level) as source:
             yield turned_back(source, result)
+
+    @contextmanager
+    def written(self, source: Source, options: Mapping[str, Any]) -> Iterator[Path]:
+        """Write a file of a result, with further options of the format; delete it afterwards."""
+        self._refuse_large(source, options)
+        path = self.folder / f"{TRIED}{registry.writable(self.output).suffix}"
+        given = {**self.given, **options}
+        try:
+            write_model(source, path, overwrite=True, format_options=given)
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
+
+    def _refuse_large(self, source: Source, options: Mapping[str, Any]) -> None:
+        """Refuse a result whose file would have to be written from more memory than is allowed."""
+        row, given = row_bytes(source.columns), {**self.given, **options}
+        refuse_large(self.output, source.count, row, self.max_memory, given)
