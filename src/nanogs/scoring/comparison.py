@@ -266,7 +266,7 @@ def score_models(
         # Not called after this iteration, so that it may use the loop's variables (B023).
         def scored(view: ReferenceView, rendering: Rendering, found: ViewScore) -> None:
             progress.part(next(done), len(models) * len(views))  # noqa: B023
-            unpacked.see(rendering)
+            unpacked.see(view, rendering, found)
             if not scoring.pictures:
                 return
             sheet = next(remaining)  # noqa: B023

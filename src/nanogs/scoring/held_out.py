@@ -80,7 +80,7 @@ class HeldOut:
         def scored(small: Splats, form: str) -> ModelScore:
             beside.begin(form)
             drawn = as_drawn(small, self.max_memory)
-            return beside.end(score("", drawn, self.views, BLACK, on_view=beside.see_view))
+            return beside.end(score("", drawn, self.views, BLACK, on_view=beside.see))
 
         scored(model, "")
         means = scored(packed, suffix)

@@ -32,17 +32,13 @@ class UnpackedModel:
         if not suffix:
             self._images.clear()
 
-    def see(self, rendering: Rendering) -> None:
-        """Receive the render of the model's next view; the order is the same for each model."""
+    def see(self, _view: ReferenceView, rendering: Rendering, _score: ViewScore) -> None:
+        """Receive the model's next view, as `on_view` of `score`; each model has the same order."""
         if self._suffix:
             beside, image = self._images[len(self._view_scores)], rendering.shown()
             self._view_scores.append((psnr(beside, image), ssim(beside, image)))
         elif self.keep:
             self._images.append(rendering.shown())
-
-    def see_view(self, _view: ReferenceView, rendering: Rendering, _score: ViewScore) -> None:
-        """Receive the next view; an `on_view` callback for `score`."""
-        self.see(rendering)
 
     def end(self, score: ModelScore) -> ModelScore:
         """End a model and return its score, for a packed file with the loss due to packing."""
