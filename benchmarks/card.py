@@ -16,7 +16,7 @@ from statistics import median
 
 import nanogs
 from nanogs.card.device import use_device
-from nanogs.cli.options import parse_pixels
+from nanogs.cli.parsing import parse_pixels
 from nanogs.datasets.synthetic import make_scene
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render

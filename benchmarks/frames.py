@@ -13,7 +13,7 @@ from pathlib import Path
 
 import nanogs
 from nanogs.bench.gsplat import gsplat_fps
-from nanogs.cli.options import parse_pixels
+from nanogs.cli.parsing import parse_pixels
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras

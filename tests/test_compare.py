@@ -16,7 +16,7 @@ import nanogs
 from browsers import CHROMIUM
 from builders import random_splats
 from launch import run
-from nanogs.cli.options import parse_background, parse_direction, parse_pixels
+from nanogs.cli.parsing import parse_background, parse_direction, parse_pixels
 from nanogs.errors import ExistsError, ModelError, OptionError
 from nanogs.metrics import depth_error
 from nanogs.protocol import PackingLoss, Protocol

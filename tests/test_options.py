@@ -14,7 +14,7 @@ from typer.main import get_command
 import nanogs
 from builders import random_splats
 from launch import run_here
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.cli.app import app
 from nanogs.cli.examples import EXAMPLES
 from nanogs.cli.groups import with_options
@@ -43,7 +43,7 @@ def scene(tmp_path_factory):
     [("0.1", 0.1), ("10%", 0.1), ("7 %", 0.07), (".5", 0.5), ("1", 1.0), ("1e-2", 0.01)],
 )
 def test_ratios_are_parsed(text, value):
-    assert options.parse_ratio(text) == value
+    assert parsing.parse_ratio(text) == value
 
 
 @pytest.mark.parametrize(
@@ -51,7 +51,7 @@ def test_ratios_are_parsed(text, value):
     [("12", 12), ("100k", 100_000), ("100K", 100_000), ("1.5M", 1_500_000), ("2G", 2 * 10**9)],
 )
 def test_counts_are_parsed(text, value):
-    assert options.parse_count(text) == value
+    assert parsing.parse_count(text) == value
 
 
 @pytest.mark.parametrize(
@@ -75,20 +75,20 @@ def test_wrong_sizes_in_bytes_are_refused(size):
 @pytest.mark.parametrize("text", ["", "ten", "10%%", "1,5", "nan", "1e400", "1e9999", "1.2.3"])
 def test_wrong_ratios_are_refused(text):
     with pytest.raises(OptionError, match=r"0\.1 or 10%"):
-        options.parse_ratio(text)
+        parsing.parse_ratio(text)
 
 
 @pytest.mark.parametrize("text", ["", "ten", "1.5", "1.0005k", "-3", "3kB"])
 def test_wrong_counts_are_refused(text):
     with pytest.raises(OptionError, match="100k"):
-        options.parse_count(text)
+        parsing.parse_count(text)
 
 
 def test_too_little_memory_is_refused_with_the_likely_remedy():
-    assert options.parse_memory("1MB") == 10**6
+    assert parsing.parse_memory("1MB") == 10**6
     for text, remedy in (("4", "name the unit too"), ("4kB", "allow more")):
         with pytest.raises(OptionError, match=f"too little for any model; {remedy}, as in"):
-            options.parse_memory(text)
+            parsing.parse_memory(text)
 
 
 def test_models_can_be_named(tmp_path, monkeypatch):
@@ -96,7 +96,7 @@ def test_models_can_be_named(tmp_path, monkeypatch):
     (tmp_path / "c=d.ply").touch()
     url = "https://a.org/b.ply"
     given = ["ours=a.ply", "=a.ply", "c=d.ply", f"{url}?key=1", f"theirs={url}"]
-    names, paths = zip(*options.parse_named(given), strict=True)
+    names, paths = zip(*parsing.parse_named(given), strict=True)
     assert names == ("ours", "=a.ply", "c=d.ply", "b.ply", "theirs")
     assert list(map(str, paths)) == ["a.ply", "=a.ply", "c=d.ply", url, url]
 

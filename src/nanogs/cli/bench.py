@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.cli.groups import with_options
 from nanogs.defaults import BENCH_RATIOS
 from nanogs.errors import NanogsError, OptionError
@@ -28,7 +28,7 @@ def bench(
         list[Path] | None,
         typer.Argument(
             metavar="[MODEL...]",
-            parser=options.parse_model,
+            parser=parsing.parse_model,
             help="Models to measure on: files, or folders of models.",
         ),
     ] = None,
@@ -113,7 +113,7 @@ def bench(
         typer.Option(
             help="Automatic views for scenes without photographs: auto, orbit, inside, roam;"
             " several are separated by commas.",
-            parser=options.parse_cameras,
+            parser=parsing.parse_cameras,
             metavar="KINDS",
             rich_help_panel=options.VIEWS,
             show_default="auto; with --sizes-of-files auto,roam",
@@ -131,7 +131,7 @@ def bench(
         typer.Option(
             "--out",
             "-o",
-            parser=options.parse_local,
+            parser=parsing.parse_local,
             metavar="FOLDER",
             help="Folder for results.md, results.jsonl and plot.svg, with --sizes-of-files also"
             " results.html and plot.png; an unfinished run in it is continued, and further methods"
@@ -153,7 +153,7 @@ def bench(
     from nanogs.formatting import plain
 
     targets = _targets(ratios, sizes_of_files, formats)
-    chosen = _usual_methods(targets) if methods is None else options.parse_list(methods)
+    chosen = _usual_methods(targets) if methods is None else parsing.parse_list(methods)
     chosen += [name for name in ABLATIONS if ablations and name not in chosen]
     kinds = cameras or ("auto,roam" if sizes_of_files is not None else "auto")
     settings = BenchSettings(
@@ -161,10 +161,10 @@ def bench(
         methods=tuple(chosen),
         externals=_externals(external or []),
         views=views,
-        sizes=tuple(map(_square, options.parse_sizes(str(PIXELS) if sizes is None else sizes))),
-        kinds=tuple(options.parse_list(kinds)),
-        background=None if background is None else options.parse_background(background),
-        metrics=tuple(options.parse_metrics(metrics)),
+        sizes=tuple(map(_square, parsing.parse_sizes(str(PIXELS) if sizes is None else sizes))),
+        kinds=tuple(parsing.parse_list(kinds)),
+        background=None if background is None else parsing.parse_background(background),
+        metrics=tuple(parsing.parse_metrics(metrics)),
         seed=seed,
         threads=threads,
         render_mode=render_mode,
@@ -252,17 +252,17 @@ def _targets(ratios: str | None, sizes: str | None, formats: str | None) -> dict
             )
         if ratios is None:
             return {"ratios": BENCH_RATIOS}
-        return {"ratios": tuple(options.parse_ratio(text) for text in options.parse_list(ratios))}
+        return {"ratios": tuple(parsing.parse_ratio(text) for text in parsing.parse_list(ratios))}
     if ratios is not None:
         raise OptionError("Give --ratios or --sizes-of-files, not both.")
-    if not options.parse_list(sizes):
+    if not parsing.parse_list(sizes):
         raise OptionError("--sizes-of-files needs at least one size, like 0.5MB,1MB.")
     chosen = tuple(
-        suffix_of(name) for name in options.parse_list("sog" if formats is None else formats)
+        suffix_of(name) for name in parsing.parse_list("sog" if formats is None else formats)
     )
     if not chosen:
         raise OptionError("--format needs at least one format, like sog,spz.")
-    return {"file_sizes": tuple(map(parse_bytes, options.parse_list(sizes))), "formats": chosen}
+    return {"file_sizes": tuple(map(parse_bytes, parsing.parse_list(sizes))), "formats": chosen}
 
 
 def _refuse_unused(

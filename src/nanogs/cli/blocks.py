@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.defaults import PATIENCE
 from nanogs.errors import OptionError
 
@@ -23,7 +23,7 @@ class Blocks:
         _option(
             "Memory that each process may use, e.g. 4GB; a model that needs more is simplified in"
             " blocks.",
-            parser=options.parse_memory,
+            parser=parsing.parse_memory,
             metavar="SIZE",
         ),
     ] = None
@@ -32,7 +32,7 @@ class Blocks:
         Path | None,
         _option(
             "Folder for intermediate results, which survive a crash; removed at the end.",
-            parser=options.parse_local,
+            parser=parsing.parse_local,
             metavar="FOLDER",
             show_default="OUT.job",
         ),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.cli.groups import with_options
 from nanogs.cli.looking import Given, refuse_beside_file, refuse_beside_photos
 from nanogs.errors import OptionError
@@ -40,7 +40,7 @@ def compare(
     report: Annotated[
         Path | None,
         typer.Option(
-            parser=options.parse_page,
+            parser=parsing.parse_page,
             metavar="PAGE",
             help="Write a page with pictures: one .html file.",
         ),
@@ -55,7 +55,7 @@ def compare(
     photos: Annotated[
         Path | None,
         typer.Option(
-            parser=options.parse_local,
+            parser=parsing.parse_local,
             metavar="FOLDER",
             help="Score REF and all TESTs against the photographs of this data set "
             "(folder of NeRF-Synthetic, nerfstudio or COLMAP).",
@@ -98,7 +98,7 @@ def compare(
     budget: Annotated[
         int | None,
         typer.Option(
-            parser=options.parse_count,
+            parser=parsing.parse_count,
             metavar="COUNT",
             help="Most splats that this viewer draws at once, e.g. 1M.",
             show_default="no limit, levels by distance alone",
@@ -114,10 +114,10 @@ def compare(
     from nanogs.cli.progress import shown
     from nanogs.io.atomic import check_writable
 
-    formats = options.parse_packed(packed, of_format)
-    pixels = options.parse_sizes(str(PIXELS) if sizes is None else sizes)
-    color = None if background is None else options.parse_background(background)
-    extras = options.parse_metrics(metrics)
+    formats = parsing.parse_packed(packed, of_format)
+    pixels = parsing.parse_sizes(str(PIXELS) if sizes is None else sizes)
+    color = None if background is None else parsing.parse_background(background)
+    extras = parsing.parse_metrics(metrics)
     if interactive is not None and not report:
         option = "--interactive" if interactive else "--no-interactive"
         raise OptionError(f"{option} works only with --report; give both, or leave it out.")
@@ -143,7 +143,7 @@ def compare(
     from nanogs.scoring.run import compare_files
     from nanogs.threads import use_threads
 
-    named = options.parse_named([reference, *tests])
+    named = parsing.parse_named([reference, *tests])
     if budget is not None and not mixed:
         raise OptionError("--budget works only with --mixed; give both, or leave it out.")
     if mixed:

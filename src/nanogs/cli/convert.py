@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from nanogs.cli import file_options, options
+from nanogs.cli import file_options, options, parsing
 from nanogs.cli.groups import with_options
 from nanogs.errors import OptionError
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from nanogs.progress import Progress
 
 
-_NONE = options.Vector(0.0, 0.0, 0.0)
+_NONE = parsing.Vector(0.0, 0.0, 0.0)
 _transform = partial(
     typer.Option,
     rich_help_panel="Transforms (after --frame, in this order, in the frame of OUT)",
     show_default=False,
 )
-_vector = partial(_transform, parser=options.parse_vector, metavar="X,Y,Z")
+_vector = partial(_transform, parser=parsing.parse_vector, metavar="X,Y,Z")
 
 
 @with_options
@@ -52,13 +52,13 @@ def convert(
         ),
     ] = 1.0,
     rotate: Annotated[
-        options.Vector,
+        parsing.Vector,
         _vector(
             help="Turn it about the axes through the origin, x first, then y, then z; degrees."
         ),
     ] = _NONE,
     translate: Annotated[
-        options.Vector,
+        parsing.Vector,
         _vector(help="Move it, in scene units of OUT."),
     ] = _NONE,
     of_format: options.OfFormat,

@@ -5,13 +5,13 @@ from typing import Annotated
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.formatting import counted
 
 
 def demo(
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", parser=options.parse_output, help="File to write.")
+        Path, typer.Argument(metavar="OUT", parser=parsing.parse_output, help="File to write.")
     ],
     count: Annotated[
         int | None,

@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.errors import OptionError
 
 _several = options.in_panel("Several files")
@@ -44,7 +44,7 @@ Paths = Annotated[
     list[Path],
     typer.Argument(
         metavar="IN... OUT",
-        parser=options.parse_place,
+        parser=parsing.parse_place,
         help="Model to read and file to write: paths, URLs (https://, s3://), or - for stdin and"
         " stdout. With --out-dir all are inputs: models, folders of models or patterns.",
     ),
@@ -70,7 +70,7 @@ class Files:
         Path | None,
         _several(
             "Folder for the results; made if missing.",
-            parser=options.parse_local,
+            parser=parsing.parse_local,
             metavar="FOLDER",
         ),
     ] = None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from nanogs.cli import file_options, options
+from nanogs.cli import file_options, options, parsing
 from nanogs.cli.groups import with_options
 from nanogs.cli.looking import RenderOptions
 from nanogs.formatting import bytes_text, counted, number_text
@@ -32,7 +32,7 @@ def info(
         Path,
         typer.Argument(
             metavar="IN",
-            parser=options.parse_place,
+            parser=parsing.parse_place,
             help="Model to read: a file, its folder, its URL (https://, s3://), or - for stdin.",
         ),
     ],
@@ -53,7 +53,7 @@ def info(
     from nanogs.io import open as open_model
     from nanogs.io.collect import model_in
 
-    formats, looks = options.parse_packed(packed, of_format), looking.asked(packed=bool(packed))
+    formats, looks = parsing.parse_packed(packed, of_format), looking.asked(packed=bool(packed))
     with Streams(read_as).received(source, quiet=json) as path:
         cost, looked = None, None
         if formats or looks:

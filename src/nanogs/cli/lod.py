@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from nanogs.cli import file_options, options
+from nanogs.cli import file_options, options, parsing
 from nanogs.cli.blocks import DASH
 from nanogs.cli.groups import with_options
 from nanogs.cli.importing import without_gc
@@ -29,7 +29,7 @@ def lod(
         list[Path],
         typer.Argument(
             metavar="IN OUT",
-            parser=options.parse_place,
+            parser=parsing.parse_place,
             help="Model to read, a file, its URL or - for stdin, and what to write: a folder, for"
             " one file per level; lod-meta.json (streamed SOG) or tileset.json (3D Tiles) in a"
             " folder; or one file, .ssog (streamed SOG) or .rad (a tree, for Spark). With --join"
@@ -63,7 +63,7 @@ def lod(
     chunk: Annotated[
         int | None,
         typer.Option(
-            parser=options.parse_count,
+            parser=parsing.parse_count,
             metavar="COUNT",
             help="Largest number of splats in a chunk of the finest level, in streamed SOG and 3D"
             " Tiles.",
@@ -73,7 +73,7 @@ def lod(
     chunk_min: Annotated[
         int | None,
         typer.Option(
-            parser=options.parse_count,
+            parser=parsing.parse_count,
             metavar="COUNT",
             help="Smallest number of splats in such a chunk, and in a file of streamed SOG, unless"
             " a level has fewer.",
@@ -100,7 +100,7 @@ def lod(
     environment_ratio: Annotated[
         float | None,
         typer.Option(
-            parser=options.parse_ratio,
+            parser=parsing.parse_ratio,
             metavar="RATIO",
             help="Compaction ratio of the environment, all of which is loaded at once.",
             show_default="1",
@@ -137,7 +137,7 @@ def lod(
     refuse_address(target, "levels are written to a folder or file: name one")
     output = output_of(target, level_format)
     # Default levels follow from the model's count, which for stdin is known only once it is read.
-    ratios = (1.0,) if levels is None else checked_ratios(options.parse_ratios(levels))
+    ratios = (1.0,) if levels is None else checked_ratios(parsing.parse_ratios(levels))
     arguments = lod_run.Arguments(
         request=plan.request_of(
             method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.errors import OptionError
 from nanogs.protocol import PIXELS, VIEWS
 
@@ -101,7 +101,7 @@ class RenderOptions:
         str | None,
         _view(
             "Views to render: a file or folder of cameras, or auto, orbit, inside, roam.",
-            parser=options.parse_cameras,
+            parser=parsing.parse_cameras,
             metavar="CAMERAS",
         ),
     ] = None
@@ -111,7 +111,7 @@ class RenderOptions:
         _view(
             "Render the model in both modes, default and mip, and score both against the"
             " photographs of this data set (folder of NeRF-Synthetic, nerfstudio or COLMAP).",
-            parser=options.parse_local,
+            parser=parsing.parse_local,
             metavar="FOLDER",
         ),
     ] = None
@@ -152,11 +152,11 @@ class RenderOptions:
         """
         from nanogs.scoring.modes import render_findings
 
-        behind = None if self.background is None else options.parse_background(self.background)
+        behind = None if self.background is None else parsing.parse_background(self.background)
         given: dict[str, Any] = {"photos": self.photos, "images": self.images}
         given["split"] = "test" if self.split is None else self.split
         return render_findings(
             model, self.cameras or "auto", **given, background=behind, views=self.views or VIEWS,
-            pixels=options.parse_pixels(str(PIXELS) if self.pixels is None else self.pixels),
+            pixels=parsing.parse_pixels(str(PIXELS) if self.pixels is None else self.pixels),
             up=self.up, threads=self.threads, max_memory=self.max_memory, progress=progress,
         )  # fmt: skip

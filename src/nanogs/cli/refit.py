@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.cli.groups import Fields, with_options
 from nanogs.cli.looking import refuse_beside_file
 from nanogs.fit.parameters import RefitParameters
@@ -33,7 +33,7 @@ def refit(
         Path,
         typer.Argument(
             metavar="ORIGINAL",
-            parser=options.parse_model,
+            parser=parsing.parse_model,
             help="The original model, which the result should look like; each of the three is a"
             " file or its URL; a model that is read may be its folder.",
         ),
@@ -41,11 +41,11 @@ def refit(
     small: Annotated[
         Path,
         typer.Argument(
-            metavar="SMALL", parser=options.parse_model, help="The model to fit, from any tool."
+            metavar="SMALL", parser=parsing.parse_model, help="The model to fit, from any tool."
         ),
     ],
     target: Annotated[
-        Path, typer.Argument(metavar="OUT", parser=options.parse_output, help="File to write.")
+        Path, typer.Argument(metavar="OUT", parser=parsing.parse_output, help="File to write.")
     ],
     cameras: options.Cameras = "auto",
     up: options.FitUp = None,
@@ -100,7 +100,7 @@ def _refit_files(
     small: Path,
     target: Path,
     cameras: str,
-    up: options.Direction | None,
+    up: parsing.Direction | None,
     parameters: RefitParameters,
     mode: str | None,
     device: str,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.cli.groups import with_options
 from nanogs.cli.looking import refuse_beside_file
 from nanogs.errors import OptionError
@@ -23,7 +23,7 @@ def render(
         Path,
         typer.Argument(
             metavar="IN",
-            parser=options.parse_model,
+            parser=parsing.parse_model,
             help="Model to read: a file, its folder or its URL.",
         ),
     ],
@@ -31,7 +31,7 @@ def render(
         Path,
         typer.Argument(
             metavar="OUT",
-            parser=options.parse_output,
+            parser=parsing.parse_output,
             help="Folder for the PNG files; or one .png file, for one view.",
         ),
     ],
@@ -60,7 +60,7 @@ def render(
 
     one = _is_picture(target)  # refuses names of other formats, whatever the number of views
     count = views or (1 if one else 8)
-    width, height = options.parse_pixels(_PIXELS if pixels is None else pixels)
+    width, height = parsing.parse_pixels(_PIXELS if pixels is None else pixels)
     refuse_beside_file(cameras, {"--views": views, "--pixels": pixels, "--up": up})
     if transparent and background is not None:
         raise OptionError(
@@ -68,7 +68,7 @@ def render(
             " background; leave one of them out."
         )
     # Straight alpha needs it black.
-    color = options.parse_background("black" if background is None else background)
+    color = parsing.parse_background("black" if background is None else background)
     from nanogs.card.device import device_notes, use_device
     from nanogs.progress import Stage, Tracker
     from nanogs.threads import use_threads

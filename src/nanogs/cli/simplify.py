@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from nanogs.cli import file_options, options
+from nanogs.cli import file_options, options, parsing
 from nanogs.cli.blocks import DASH
 from nanogs.cli.groups import with_options
 from nanogs.cli.importing import without_gc
@@ -26,7 +26,7 @@ def simplify(
         typer.Option(
             "--ratio",
             "-r",
-            parser=options.parse_ratio,
+            parser=parsing.parse_ratio,
             metavar="RATIO",
             help="Share of the splats to keep, e.g. 0.1 or 10%.",
         ),
@@ -55,7 +55,7 @@ def simplify(
         float | None,
         typer.Option(
             "--draw-cost",
-            parser=options.parse_ratio,
+            parser=parsing.parse_ratio,
             metavar="SHARE",
             help="Highest cost of drawing OUT, e.g. 0.5: splats a pixel as a share of those of IN,"
             " the column draws of `nanogs compare`; keeps as many splats as that allows.",

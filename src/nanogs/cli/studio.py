@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.cli.groups import with_options
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, FORESTS
 
@@ -17,7 +17,7 @@ def studio(
     model: Annotated[
         Path,
         typer.Argument(
-            metavar="SCENE", parser=options.parse_model, help="Model to make smaller: a file."
+            metavar="SCENE", parser=parsing.parse_model, help="Model to make smaller: a file."
         ),
     ],
     port: Annotated[

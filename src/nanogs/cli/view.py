@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from nanogs.cli import options
+from nanogs.cli import options, parsing
 from nanogs.cli.groups import with_options
 from nanogs.cli.looking import Given, refuse_beside_file
 from nanogs.defaults import PAGE_SPLATS
@@ -34,7 +34,7 @@ def view(
         typer.Option(
             "--output",
             "-o",
-            parser=options.parse_page,
+            parser=parsing.parse_page,
             metavar="PAGE",
             help="Page to write.",
             show_default="A.html, or A-B.html",
@@ -80,11 +80,11 @@ def view(
     from nanogs.scoring.viewing import page_path, view_files
     from nanogs.view.bundle import check_built
 
-    width, height = options.parse_pixels(str(PIXELS) if pixels is None else pixels)
+    width, height = parsing.parse_pixels(str(PIXELS) if pixels is None else pixels)
     of_psnr: Given = {"--views": views, "--pixels": pixels}
     refuse_beside_file(cameras, of_psnr)
-    color = options.parse_background(background)
-    inputs = options.parse_named(models)
+    color = parsing.parse_background(background)
+    inputs = parsing.parse_named(models)
     if len(inputs) > 2:
         raise OptionError(
             f"A page shows one model or two, but {len(inputs)} were given; leave the others out."
