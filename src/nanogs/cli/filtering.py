@@ -7,8 +7,6 @@ from nanogs.cli.console import warn
 from nanogs.cli.file_options import Edits
 from nanogs.errors import OptionError
 from nanogs.formatting import counted
-from nanogs.pipeline.reading import Changes
-from nanogs.splats import MAX_SH_DEGREE
 
 
 def parse_filters(edits: Edits) -> list[filters.Filter]:
@@ -36,21 +34,6 @@ def _crop(text: str) -> filters.Filter:
     raise OptionError(
         f"--crop must be box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r with numbers, not {text!r}."
     )
-
-
-def parse_changes(edits: Edits) -> Changes:
-    """Parse the changes to a model, except for the frame, which depends on each file.
-
-    Args:
-        edits: The options.
-
-    Raises:
-        OptionError: An option is invalid.
-    """
-    degree = edits.sh_degree
-    if degree is not None and not 0 <= degree <= MAX_SH_DEGREE:
-        raise OptionError(f"--sh-degree must be from 0 to {MAX_SH_DEGREE}, not {degree}.")
-    return Changes(parse_filters(edits), degree)
 
 
 def report_filters(reports: Iterable[filters.FilterReport]) -> None:

@@ -9,7 +9,7 @@ from nanogs.ahead import prepare_kernels
 from nanogs.allocation import keep_freed_memory
 from nanogs.cli.cancel import resumable
 from nanogs.cli.console import err, key_value_table, show
-from nanogs.cli.filtering import parse_changes
+from nanogs.cli.filtering import parse_filters
 from nanogs.cli.importing import without_gc
 from nanogs.cli.method import Method
 from nanogs.defaults import PATIENCE
@@ -213,13 +213,13 @@ def request_of(method: Method, goal: Goal, **given: Any) -> Request:  # noqa: AN
     Raises:
         OptionError: An option is invalid.
     """
-    changes, blocks = parse_changes(method.edits), method.blocks
+    edits, blocks = method.edits, method.blocks
     patience = PATIENCE if blocks.patience is None else blocks.patience
     return Request(
         goal=goal, preset=method.preset, overrides=method.overrides, measured=method.measure,
         max_memory=blocks.max_memory, job=blocks.job, scratch=blocks.scratch,
-        resume=blocks.resume, nan=method.nan, filters=changes.filters,
-        sh_degree=changes.sh_degree, render_mode=method.edits.render_mode, cameras=method.cameras,
+        resume=blocks.resume, nan=method.nan, filters=parse_filters(edits),
+        sh_degree=edits.sh_degree, render_mode=edits.render_mode, cameras=method.cameras,
         up=method.up, threads=method.threads, patience=patience, **given,
     )  # fmt: skip
 

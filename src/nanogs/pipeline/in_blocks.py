@@ -32,6 +32,7 @@ from nanogs.pipeline.job.rows import (
 )
 from nanogs.pipeline.options.presets import parameters, renders
 from nanogs.pipeline.options.settings import SearchTarget, Settings
+from nanogs.pipeline.options.views import requested_views
 from nanogs.pipeline.reading import open_parts
 from nanogs.pipeline.tasks.unpack import cost_of
 from nanogs.progress import Progress
@@ -152,9 +153,9 @@ def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
             there is not enough memory.
     """
     chosen = block_parameters(request.preset, request.overrides)
-    changes = request.changes()
-    changes.check()
-    inputs, layout = describe_inputs(request.inputs, changes)
+    edits, asked = request.edits, requested_views(request.cameras, request.up)
+    edits.check()
+    inputs, layout = describe_inputs(request.inputs, edits)
     sought = search_target(request, layout, sum(each.splats for each in inputs))
     seen = sought is not None and (sought.goal.is_measured or renders(chosen))
     if request.measured or seen:
@@ -173,7 +174,7 @@ def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
 
     plan = planned(sum(each.splats for each in inputs))
     refuse_large_whole(inputs, plan.segment)
-    sieve = count_filtered(inputs, layout, changes.filters)
+    sieve = count_filtered(inputs, layout, edits.filters)
     if sieve:
         plan = planned(sieve.left[-1])
     counted = not sought and request.goal.ratio is None
@@ -188,9 +189,9 @@ def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
         parameters=chosen,
         block_layout=request.block_layout,
         filters=sieve,
-        frame=changes.frame,
+        frame=request.frame,
         sh_degree=request.sh_degree,
-        asked=changes.asked,
+        asked=asked,
         sharing=request.sharing,
         search=sought,
         environment=request.environment,

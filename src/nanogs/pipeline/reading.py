@@ -12,7 +12,6 @@ from nanogs.io import FileInfo, inspect, load
 from nanogs.io import open as open_model
 from nanogs.io.parts import FileSource
 from nanogs.pipeline.estimates.stage_weights import read_weight
-from nanogs.pipeline.options.views import AUTOMATIC, RequestedViews
 from nanogs.progress import Stage, Tracker
 from nanogs.source import Joined
 from nanogs.splats import RenderMode, Splats
@@ -20,20 +19,16 @@ from nanogs.splats import RenderMode, Splats
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """Changes to a model besides making it smaller.
+    """Changes to a model before it is made smaller.
 
     Attributes:
         filters: Filters applied first, such as `nanogs.filters.box(low, high)`.
         sh_degree: Highest degree of harmonics to keep, or None for all.
-        frame: Frames from and to which results are turned, or None.
-        asked: The views that were asked for.
         render_mode: Render mode in place of the one in the files, or None.
     """
 
     filters: Sequence[Filter] = ()
     sh_degree: int | None = None
-    frame: tuple[str, str] | None = None
-    asked: RequestedViews = AUTOMATIC
     render_mode: RenderMode | None = None
 
     def check(self) -> None:
@@ -51,7 +46,7 @@ class Changes:
 
 
 class ChangedModel(NamedTuple):
-    """A model after the changes besides making it smaller: filters, and harmonics left out.
+    """A model after the changes before it is made smaller: filters, and harmonics left out.
 
     Attributes:
         splats: The model.
@@ -96,8 +91,6 @@ def read_changed(
 
 def changed(splats: Splats, changes: Changes) -> ChangedModel:
     """Apply the filters, and leave out the harmonics that are not wanted.
-
-    The frame is not changed here: results are turned, and not the model.
 
     Raises:
         ModelError: A filter leaves nothing.

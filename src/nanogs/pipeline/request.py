@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +47,6 @@ from nanogs.pipeline.options.target import (
     shared_in_file,
     target_count,
 )
-from nanogs.pipeline.options.views import requested_views
 from nanogs.pipeline.reading import Changes, open_parts
 from nanogs.ranges import as_switch, is_number
 from nanogs.source import Joined, Layout
@@ -163,18 +162,13 @@ class Request:
 
     @property
     def edits(self) -> Changes:
-        """Changes to the model: splats and harmonics left out, render mode, frame of results.
+        """Changes to the model: splats and harmonics left out, render mode; results are turned.
 
         If results are fitted, `sh_degree` applies to them and not to the model, so that they are
         fitted to all that views show.
         """
         fitted, mode = renders(self.parameters), checked_mode(self.render_mode)
-        degree = None if fitted else self.sh_degree
-        return Changes(self.filters, degree, self.frame, render_mode=mode)
-
-    def changes(self) -> Changes:
-        """Return the edits with the views that are asked for, which reads a file of cameras."""
-        return replace(self.edits, asked=requested_views(self.cameras, self.up))
+        return Changes(self.filters, None if fitted else self.sh_degree, mode)
 
     @property
     def suffix(self) -> str:
