@@ -91,8 +91,8 @@ def compare(
         bool,
         typer.Option(
             "--mixed",
-            help="Draw TESTs, lod-meta.json or .ssog, as a viewer does: near chunks fine, far ones"
-            " coarse.",
+            help="Draw each TEST, a lod-meta.json or .ssog, as a viewer does: near chunks fine, far"
+            " ones coarse.",
         ),
     ] = False,
     budget: Annotated[

@@ -115,11 +115,11 @@ def lod(
 ) -> None:
     """Make levels of detail of a model: a file each, or chunks for a viewer that streams.
 
-    OUT/level_0.ply, the finest, and so on are the files that `nanogs simplify --ratio` writes, and
-    levels.json says what is in the folder. The finest is the original by default, and each of the
-    others has half of the splats of the one before. OUT/lod-meta.json makes streamed SOG of the
-    levels, OUT.ssog the same in one file, OUT/tileset.json 3D Tiles 1.1, and OUT.rad one file of a
-    tree, as Spark streams it.
+    A folder OUT gets level_0.ply, the finest level, level_1.ply and so on, each the file that
+    `nanogs simplify --ratio` writes, and levels.json, which lists them. By default the finest is
+    the original, and each other level has half of the splats of the one before. OUT/lod-meta.json
+    makes streamed SOG of the levels, OUT.ssog the same in one file, OUT/tileset.json 3D Tiles 1.1,
+    and OUT.rad one file with a tree of splats, as Spark streams it.
     """
     # Imported here because `--help` does not need it.
     with without_gc():

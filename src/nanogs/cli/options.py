@@ -142,9 +142,9 @@ Bits = Annotated[
 ShBits = Annotated[
     int | None,
     typer.Option(
-        help="Bits of a spherical harmonic above degree 0 in a .sog or .spz file, 2 to 8; in .spz"
-        " those above degree 1 have one bit less.",
-        show_default=".sog: 5, or 6 without merged harmonics; .spz: 5",
+        help="Bits of a coefficient of the spherical harmonics above degree 0 in a .sog or .spz"
+        " file, 2 to 8; in .spz those above degree 1 have one bit less.",
+        show_default=".sog: 5, or 6 if no sets of harmonics are merged; .spz: 5",
         metavar="BITS",
     ),
 ]

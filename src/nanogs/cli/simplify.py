@@ -65,7 +65,8 @@ def simplify(
     device: options.Device = "cpu",
     overwrite: options.Overwrite = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Show how it was done: stages, passes, probes.")
+        bool,
+        typer.Option("--verbose", "-v", help="Show how it was done: stages, passes, counts tried."),
     ] = False,
     files: file_options.Files,
     method: Method,

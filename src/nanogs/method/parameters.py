@@ -48,10 +48,10 @@ class ForestParameters:
         view_size: Pixels along the longer side of a view.
     """
 
-    k: int = parameter(5, 1, help="Neighbours in the graph.")
-    lambda_app: float = parameter(1.0, help="Weight of the colours.")
+    k: int = parameter(5, 1, help="Nearest neighbours that a splat may merge with.")
+    lambda_app: float = parameter(1.0, help="Weight of colour in the cost of a merge.")
     balance: float = parameter(
-        USUAL_BALANCE, 0, 1, help="From groups of equal size (0) to groups of equal error (1)."
+        USUAL_BALANCE, 0, 1, help="Cut into groups of equal size (0) to groups of equal error (1)."
     )
     rounds: int = parameter(2, help="Rounds of reassignment after the cut.")
     pixels: float = parameter(512.0, above=True)
@@ -62,7 +62,9 @@ class ForestParameters:
     steps: int = parameter(
         28, help="Steps of fitting the result to renders of the original; 0 fits nothing."
     )
-    views: int = parameter(14, 1, views=True, help="Views of the original to look at.")
+    views: int = parameter(
+        14, 1, views=True, help="Views of the original to choose and fit results by."
+    )
     further: int = parameter(16, views=True)
     halves: bool = True
     around: int = parameter(12, views=True)

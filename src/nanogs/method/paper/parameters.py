@@ -25,14 +25,18 @@ class PaperParameters:
         merge_cap: Largest share of the splats that may be merged away in one pass.
     """
 
-    tau: float = parameter(0.1, 0, 1, help="Prune alpha below this.")
-    k: int = parameter(16, 1, help="Neighbours in the graph.")
+    tau: float = parameter(
+        0.1, 0, 1, help="Prune splats with an alpha below this, or below the median."
+    )
+    k: int = parameter(16, 1, help="Nearest neighbours that a splat may merge with.")
     graph: str = "knn"
-    samples: int = parameter(1, 1, help="Samples in the divergence.")
+    samples: int = parameter(1, 1, help="Monte Carlo samples from each of two splats.")
     seed: int = parameter(0, high=math.inf, help="Seed of the samples.")
-    lambda_geo: float = parameter(1.0, help="Weight of the geometry.")
-    lambda_app: float = parameter(1.0, help="Weight of the colours.")
-    merge_cap: float = parameter(0.5, 0, 0.5, above=True, help="Largest share merged in a pass.")
+    lambda_geo: float = parameter(1.0, help="Weight of geometry in the cost of a merge.")
+    lambda_app: float = parameter(1.0, help="Weight of colour in the cost of a merge.")
+    merge_cap: float = parameter(
+        0.5, 0, 0.5, above=True, help="Largest share of the splats that a pass may merge away."
+    )
 
     def __post_init__(self) -> None:
         """Check the ranges of the parameters."""
