@@ -51,6 +51,16 @@ print(before, status("VmHWM"))
 """
 
 
+@pytest.mark.parametrize("preset", MOST)
+def test_stages_have_the_same_names_in_the_plan_and_in_the_report(preset):
+    plan = plan_memory(300, 1, 0, parameters(preset, {}), 30)
+    _, report = nanogs.simplify(random_splats(300), ratio=0.1, preset=preset)
+    named = {
+        name.partition("_")[0] for name in report.seconds
+    }  # without the number of a correction
+    assert {*plan.stages} - {"cut"} <= named  # cuts are a part of trials and of reassignment
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("preset", MOST)

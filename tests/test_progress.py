@@ -117,8 +117,8 @@ def test_simplify_reports_the_stages_of_its_preset(preset, ratio):
         return
     assert stages >= build.get(preset, {"units", "views", "look", "grow"})
     if ratio < 1:
-        search_stages = {"trial", "pick", "settle", "judge", "choose", "part", "fit"}
-        last = {"default": search_stages, "best": search_stages, "fast": {"settle", "part"}}
+        search_stages = {"trial", "pick", "reassign", "judge", "choose", "store", "fit"}
+        last = {"default": search_stages, "best": search_stages, "fast": {"reassign", "store"}}
         assert stages >= last.get(preset, {"store"})
 
 
@@ -223,7 +223,7 @@ def test_blocks_report_their_stages(tmp_path, levels):
             block=200, progress=reported.append,
         )  # fmt: skip
     assert_consistent(reported)
-    assert {"units", "segment", "grow", "cut", "settle", "part", "write"} <= {
+    assert {"units", "segment", "grow", "cut", "reassign", "store", "write"} <= {
         s.stage for s in reported
     }
     forest = [s.fraction for s in reported if s.stage == "grow"]

@@ -45,7 +45,7 @@ from nanogs.pipeline.options.settings import (
 from nanogs.pipeline.tasks.budget import budget
 from nanogs.pipeline.tasks.forests import BINS, histogram_of, keys, scores_of
 from nanogs.pipeline.tasks.partition import partition
-from nanogs.pipeline.tasks.settle import keep_every_group
+from nanogs.pipeline.tasks.reassigning import keep_every_group
 from nanogs.pipeline.tasks.sorted_segments import DIGEST
 from nanogs.pipeline.tasks.units import Units
 from nanogs.source import Layout, Source
@@ -533,7 +533,7 @@ def test_damaged_tables_are_made_again(scene, tmp_path, expected, monkeypatch):
     out, folder, do = tmp_path / "small.ply", tmp_path / "small.ply.job", stages.do
 
     def crash(context, task):
-        if task.stage == "part":
+        if task.stage == "store":
             raise CrashError
         return do(context, task)
 

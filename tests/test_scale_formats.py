@@ -193,7 +193,7 @@ def crash_at(monkeypatch, stage, times=1):
     return called
 
 
-@pytest.mark.parametrize("stage", ["unpack", "units", "segment", "part"])
+@pytest.mark.parametrize("stage", ["unpack", "units", "segment", "store"])
 def test_an_interrupted_job_gives_the_same_bytes(packed, tmp_path, monkeypatch, stage):
     out, expected = tmp_path / "small.ply", tmp_path / "expected.ply"
     nanogs.simplify_blocks(packed, expected, ratio=0.3, **REASSIGNED)

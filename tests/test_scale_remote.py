@@ -349,7 +349,7 @@ def test_a_killed_run_in_a_store_can_be_resumed_and_leaves_no_objects(
     owner = import_module("boto3").client("s3")
     owner.put_object(Bucket="bucket", Key=damaged, Body=b"damaged")
     unfinished = (
-        f"{damaged.rpartition('/')[0]}/part-0-00000.0.npy"  # unfinished, as a kill leaves it
+        f"{damaged.rpartition('/')[0]}/store-0-00000.0.npy"  # unfinished, as a kill leaves it
     )
     owner.create_multipart_upload(Bucket="bucket", Key=unfinished)
     owner.close()

@@ -238,7 +238,7 @@ def test_workers_give_the_same_bytes_even_if_one_is_lost(scene, tmp_path, client
     nanogs.simplify_blocks(scene, remote, ratio=0.1, executor=client, progress=progress, **BLOCK)
     assert len(workers) == 1
     assert remote.read_bytes() == local.read_bytes()
-    assert {("segment", 3, 3), ("part", 4, 4)} <= set(steps)
+    assert {("segment", 3, 3), ("store", 4, 4)} <= set(steps)
 
 
 @pytest.mark.slow

@@ -252,7 +252,7 @@ def kill_after(monkeypatch, measured):
 
 def levels_in(job):
     """Return the levels whose splats are in the files of a job."""
-    return {path.name.split("-")[1] for path in (job / "scratch").glob("part-*.npy")}
+    return {path.name.split("-")[1] for path in (job / "scratch").glob("store-*.npy")}
 
 
 @pytest.mark.parametrize("goal", [{"psnr": 26.0}, {"size": 40_000}], ids=str)
@@ -310,7 +310,7 @@ def test_discarded_results_are_removed_from_a_remote_scratch(scene, tmp_path, mo
         found = make_and_measure(results, *options)
         names = fsspec.filesystem("memory").find("/search")
         measured_results.append(
-            {name.rpartition("/part-")[2].split("-")[0] for name in names if "/part-" in name}
+            {name.rpartition("/store-")[2].split("-")[0] for name in names if "/store-" in name}
         )
         return found
 
@@ -350,7 +350,7 @@ def test_a_damaged_result_is_made_again(scene, tmp_path, monkeypatch):
     nanogs.simplify_blocks(scene, tmp_path / "a.spz", size=40_000, **QUICK)
     out = tmp_path / "b.spz"
     job = killed_at_the_end(scene, out, monkeypatch, size=40_000)
-    damaged = [*(job / "scratch").glob("part-*.npy")]
+    damaged = [*(job / "scratch").glob("store-*.npy")]
     for path in damaged:
         path.write_bytes(path.read_bytes()[:-1])
     nanogs.simplify_blocks(scene, out, size=40_000, resume=True, **QUICK)

@@ -109,7 +109,7 @@ class OneBlock(Scene):
     # The result in progress: labels and scores by cut, labels after reassignment, the latest groups
     # with their labels, splats.
     _cuts: dict[int, I32] = field(default_factory=dict)
-    _settled: I32 | None = None
+    _reassigned: I32 | None = None
     _corrected: dict[int, F] = field(default_factory=dict)  # scores of a cut with corrected errors
     _stored: list[tuple[I32, Groups]] = field(default_factory=list)
     _part: Splats | None = None
@@ -125,7 +125,7 @@ class OneBlock(Scene):
         """
         return replace(
             self, asked_count=count, _records=dict(self._records),
-            _cuts={}, _settled=None, _corrected={}, _stored=[],
+            _cuts={}, _reassigned=None, _corrected={}, _stored=[],
         )  # fmt: skip
 
     # What is known.
@@ -324,8 +324,8 @@ class OneBlock(Scene):
         """Return the original on the views that are kept for the fit."""
         return self.fitting
 
-    def settle(self, name: str, block: int, level: int) -> Record:
-        """Reassign the splats after the chosen cut; see `Scene.settle`."""
+    def reassign(self, name: str, block: int, level: int) -> Record:
+        """Reassign the splats after the chosen cut; see `Scene.reassign`."""
         assert self._leaves is not None  # noqa: S101 - an earlier stage
         labels = self.picked_labels(block, level)
         # Only the chosen cut is used from here on: free the other candidates.
@@ -333,13 +333,13 @@ class OneBlock(Scene):
         self._stored = [each for each in self._stored if each[0] is labels]
         rounds, groups = self.settings.parameters.rounds, self.target(level)
         blurs = self.placement.dilation.blurs(self._leaves.means)
-        self._settled, done = reassign(self._leaves, labels, groups, rounds, blurs)
+        self._reassigned, done = reassign(self._leaves, labels, groups, rounds, blurs)
         return self.write(name, {}, {ROUNDS: done})
 
     def members(self, block: int, level: int, *, reassigned: bool) -> Members:
         """Return the splats and groups of the chosen cut, or after reassignment."""
         own = self.open(block)
-        labels = self._settled if reassigned else self.picked_labels(block, level)
+        labels = self._reassigned if reassigned else self.picked_labels(block, level)
         assert labels is not None  # noqa: S101 - an earlier stage
         return Members(own.splats, own.rows, own.visible, labels)
 
@@ -386,7 +386,7 @@ class OneBlock(Scene):
 
     def keep_part(self, name: str, small: Splats) -> Record:
         """Keep the splats of a result, and free the groups they were made from."""
-        self._cuts, self._settled, self._corrected, self._stored = {}, None, {}, []
+        self._cuts, self._reassigned, self._corrected, self._stored = {}, None, {}, []
         self._part = small
         return self.write(name, {}, {})
 

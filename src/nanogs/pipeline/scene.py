@@ -217,7 +217,7 @@ class Scene(ABC):
         """Grow the merge forest of a block."""
 
     @abstractmethod
-    def settle(self, name: str, block: int, level: int) -> Record:
+    def reassign(self, name: str, block: int, level: int) -> Record:
         """Reassign the splats of a block after the chosen cut."""
 
     @abstractmethod
@@ -400,7 +400,7 @@ class Scene(ABC):
         """
         if not self.settings.parameters.rounds or not self.merges(level):
             return None
-        return max(int(record.facts[ROUNDS]) for record in self.of_blocks("settle", level))
+        return max(int(record.facts[ROUNDS]) for record in self.of_blocks("reassign", level))
 
     def fits(self, level: int) -> bool:
         """Whether a result is fitted to renders of the original."""

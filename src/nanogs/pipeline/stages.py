@@ -23,7 +23,7 @@ from nanogs.pipeline.estimates.stage_weights import (
     fitting_seconds,
     judging_seconds,
     looking_seconds,
-    settling_seconds,
+    reassigning_seconds,
     trying_seconds,
 )
 from nanogs.pipeline.options.presets import renders
@@ -230,11 +230,11 @@ def _cut(work: Work, task: Task) -> Record:
     return write_cut(work.scratch, task.name, leaves, labels, groups)
 
 
-def _settle(scene: Scene, task: Task) -> Record:
-    return scene.settle(task.name, task.number, task.level)
+def _reassign(scene: Scene, task: Task) -> Record:
+    return scene.reassign(task.name, task.number, task.level)
 
 
-def _part(scene: Scene, task: Task) -> Record:
+def _store(scene: Scene, task: Task) -> Record:
     if scene.merges(task.level):
         chosen = scene.chosen(task.level)
         found = scene.members(task.number, task.level, reassigned=chosen.reassigned)
@@ -259,12 +259,12 @@ def _guided(job: Settings | Load) -> bool:
     return job.parameters.guided
 
 
-def _settles(job: Settings | Load) -> bool:
+def _reassigns(job: Settings | Load) -> bool:
     return job.parameters.rounds > 0
 
 
 def _judges(job: Settings | Load) -> bool:
-    return _guided(job) and _settles(job)
+    return _guided(job) and _reassigns(job)
 
 
 def _fits(job: Settings | Load) -> bool:
@@ -377,10 +377,10 @@ STAGES = {
         _for_each_result(
             "pick", "job", pick_cut, 0.0, wanted=_guided, needed=Scene.tries, held=True
         ),
-        _for_each_result("cut", "block", _cut, 0.2, wanted=_settles, needed=_merges),
+        _for_each_result("cut", "block", _cut, 0.2, wanted=_reassigns, needed=_merges),
         _for_each_result(
-            "settle", "block", _settle, settling_seconds,
-            wanted=_settles, needed=_merges, held=True,
+            "reassign", "block", _reassign, reassigning_seconds,
+            wanted=_reassigns, needed=_merges, held=True,
         ),
         _for_each_result(
             "judge", "block", try_reassigned, judging_seconds,
@@ -390,7 +390,7 @@ STAGES = {
         _for_each_result(
             "choose", "job", choose, 0.0, wanted=_guided, needed=Scene.tries, held=True
         ),
-        _for_each_result("part", "block", _part, 0.2, held=True),
+        _for_each_result("store", "block", _store, 0.2, held=True),
         _for_each_result(
             "fit", "block", fit_part, fitting_seconds,
             wanted=_fits, needed=Scene.fits, held=True,

@@ -46,14 +46,14 @@ from nanogs.pipeline.tasks.forests import grow, number_of, passes_of, write_corr
 from nanogs.pipeline.tasks.halo import Halo, find_halo, near_groups
 from nanogs.pipeline.tasks.partition import Partition, partition_of
 from nanogs.pipeline.tasks.parts import read_part
-from nanogs.pipeline.tasks.settle import (
+from nanogs.pipeline.tasks.reassigning import (
     GONE,
     GROUP,
     block_with_halo,
     read_cover,
-    settled,
-    settled_cover,
-    write_settled,
+    reassigned,
+    reassigned_cover,
+    write_reassigned,
 )
 from nanogs.pipeline.tasks.trials import nth
 from nanogs.pipeline.tasks.units import Units, find_units, units_of
@@ -148,7 +148,7 @@ class Work(Scene):
 
     def delivered(self, level: int) -> list[Record]:
         """Return the records of a level's splats in their final form, one for each block."""
-        return self.of_blocks("fit" if self.fits(level) else "part", level)
+        return self.of_blocks("fit" if self.fits(level) else "store", level)
 
     def delivered_count(self, level: int) -> int:
         """Return the number of these: more than `target` if blocks cannot be cut as far."""
@@ -290,7 +290,7 @@ class Work(Scene):
         if self.looks:
             columns[VISIBLE] = np.empty(count)
             columns[VISIBLE][:own] = self.visible(block)
-        with self.table("settle", block, level) as table:
+        with self.table("reassign", block, level) as table:
             table.read_into(LABELS, 0, by_row[:own])
         at = own
         for record, start, stop in given:
@@ -371,7 +371,7 @@ class Work(Scene):
             parameters, balances,
         )  # fmt: skip
 
-    def settle(self, name: str, block: int, level: int) -> Record:
+    def reassign(self, name: str, block: int, level: int) -> Record:
         """Reassign the splats of a block and its halo, and write the outcome for the block."""
         cuts, settings = self.of_blocks("cut", level), self.settings
         own = self.partition.count(block)
@@ -390,10 +390,10 @@ class Work(Scene):
         weighing = self.weighing(columns.get(VISIBLE))
         leaves = leaves_of(splats, stable_order(columns[CODES]), self.units, weighing)
         area = block_with_halo(leaves, labels, own, self.group_count(block, level), halo)
-        found = settled(area, settings.parameters.rounds, self.units.dilation())
+        found = reassigned(area, settings.parameters.rounds, self.units.dilation())
         # If the method is guided, growth does not depend on covers.
-        cover = None if self.guided else settled_cover(area, found.labels, self.units.dilation())
-        return write_settled(self.scratch, name, found, area, columns, cover)
+        cover = None if self.guided else reassigned_cover(area, found.labels, self.units.dilation())
+        return write_reassigned(self.scratch, name, found, area, columns, cover)
 
     @property
     def deciding(self) -> Sequence[Camera]:
@@ -440,7 +440,7 @@ class Work(Scene):
 
     def part(self, block: int, level: int) -> Splats:
         """Read the splats of a block in a result, before the fit."""
-        record = self.of_block("part", block, level)
+        record = self.of_block("store", block, level)
         return read_part(self.scratch, self.settings.result_layout, record)
 
     def keep_part(self, name: str, small: Splats) -> Record:
@@ -458,12 +458,12 @@ class Work(Scene):
         near = near_groups(self.scratch, self.of_blocks("cut", level), block)
         found = []
         for each in near:
-            with self.table("settle", each.block, level) as table:
+            with self.table("reassign", each.block, level) as table:
                 found.append(read_cover(table, each.groups))
         return found
 
     def _handed_to(self, block: int, level: int) -> list[tuple[Record, int, int]]:
         """Return the rows that other blocks hand over to a block, as (record, start, stop)."""
-        records = self.of_blocks("settle", level)
+        records = self.of_blocks("reassign", level)
         places = [(record, record.facts["handed"].get(str(block))) for record in records]
         return [(record, *place) for record, place in places if place]

@@ -65,7 +65,7 @@ def correcting_seconds(load: Load) -> float:
     return views * (0.006 * (load.parameters.view_size / 512) ** 2 + 0.15 * load.left)
 
 
-def settling_seconds(load: Load) -> float:
+def reassigning_seconds(load: Load) -> float:
     """Estimate the seconds of reassigning the splats after a cut."""
     return (0.1 + 0.6 * load.parameters.rounds) * load.splats
 

@@ -77,15 +77,15 @@ def _blocks_report(done: Done, level: int) -> BlocksReport:
     """Report how the model was divided, and what the blocks of a result told each other."""
     work = done.work
     partition, settings = work.partition, work.settings
-    settles = work.merges(level) and settings.parameters.rounds
-    settled = work.of_blocks("settle", level) if settles else []
+    reassigns = work.merges(level) and settings.parameters.rounds
+    reassigned = work.of_blocks("reassign", level) if reassigns else []
     return BlocksReport(
         blocks=partition.blocks,
         largest=partition.largest,
         allowed=settings.block,
         segments=len(work.segments()),
-        seen=sum(int(record.facts["seen"]) for record in settled),
-        handed=sum(count_of(record) for record in settled),
+        seen=sum(int(record.facts["seen"]) for record in reassigned),
+        handed=sum(count_of(record) for record in reassigned),
         resumed=done.kept,
     )
 

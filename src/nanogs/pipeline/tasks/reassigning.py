@@ -48,7 +48,7 @@ class BlockWithHalo:
     halo: Sequence[Halo]
 
 
-class Settled(NamedTuple):
+class Reassigned(NamedTuple):
     """The result of reassigning the splats of a block and its halo.
 
     Attributes:
@@ -63,7 +63,7 @@ class Settled(NamedTuple):
     rounds: int
 
 
-def settled(area: BlockWithHalo, rounds: int, dilation: Dilation) -> Settled:
+def reassigned(area: BlockWithHalo, rounds: int, dilation: Dilation) -> Reassigned:
     """Reassign, and find the group in which each of the block's splats ends.
 
     Args:
@@ -82,10 +82,10 @@ def settled(area: BlockWithHalo, rounds: int, dilation: Dilation) -> Settled:
     after[rows] = moved[own]
     keep_every_group(after, before, weights, area.groups)
     moved[own] = after[rows]
-    return Settled(after, moved, done)
+    return Reassigned(after, moved, done)
 
 
-def settled_cover(area: BlockWithHalo, labels: I32, dilation: Dilation) -> Cover:
+def reassigned_cover(area: BlockWithHalo, labels: I32, dilation: Dilation) -> Cover:
     """Return a block's groups after reassignment, as covers of other blocks' groups.
 
     Args:
@@ -98,7 +98,7 @@ def settled_cover(area: BlockWithHalo, labels: I32, dilation: Dilation) -> Cover
 
 
 def read_cover(table: Table, groups: I64) -> Cover:
-    """Read some groups of the cover that `write_settled` was given."""
+    """Read some groups of the cover that `write_reassigned` was given."""
     return Cover(**{name: table.read(column)[groups] for name, column in COVER.items()})
 
 
@@ -126,10 +126,10 @@ def keep_every_group(after: I32, before: I32, weights: F64, groups: int) -> None
         after[row] = group
 
 
-def write_settled(
+def write_reassigned(
     scratch: Scratch,
     name: str,
-    found: Settled,
+    found: Reassigned,
     area: BlockWithHalo,
     columns: dict[str, Array],
     cover: Cover | None,
