@@ -214,9 +214,9 @@ class SimplifyReport:
         size_probes: The counts written to find one that fits, in order; empty if the size of a file
             is known beforehand.
         packings: The format settings that were tried for a size or a PSNR, in order.
-        format_options: The format options that were chosen for a size or a PSNR; the result has
-            it only if it is saved with them and with the options that were given.
-        blocks: How the model was divided, or None if it was held whole.
+        format_options: The format options that were chosen for a size or a PSNR. The file has that
+            size or PSNR only if it is saved with them and with the options that were given.
+        blocks: How the model was divided into blocks, or None if it was held whole in memory.
         read_count: Number of splats of the inputs, before filters.
         filters: Number of splats that each filter removed.
         judged: PSNR and SSIM of the result against the input, as by `nanogs compare`, on views that
