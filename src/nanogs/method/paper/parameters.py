@@ -25,9 +25,7 @@ class PaperParameters:
         merge_cap: Largest share of the splats that may be merged away in one pass.
     """
 
-    tau: float = parameter(
-        0.1, 0, 1, help="Prune splats with an alpha below this, or below the median."
-    )
+    tau: float = parameter(0.1, 0, 1, help="Prune splats with an alpha below this and the median.")
     k: int = parameter(16, 1, help="Nearest neighbours that a splat may merge with.")
     graph: str = "knn"
     samples: int = parameter(1, 1, help="Monte Carlo samples from each of two splats.")
