@@ -314,6 +314,31 @@ def test_each_chart_of_the_page_fits_a_phone_with_its_legend(tmp_path):
         assert page.evaluate("document.documentElement.scrollWidth") == 390
 
 
+@pytest.mark.filterwarnings("default")  # warnings of the browser's driver
+def test_the_page_can_be_read_on_a_phone_and_in_the_dark(tmp_path):
+    rows = [*rows_of("them", BASE, near=1), *rows_of("ours", base_plus(2), near=1)]
+    command = f"nanogs bench {'x' * 20}.ply --sizes-of-files 1MB --methods ours"
+    (tmp_path / "a.html").write_text(size_page(rows, ["them"], command), encoding="utf-8")
+    with page_at((tmp_path / "a.html").as_uri(), 360, 740) as page:
+        heights = page.locator("svg text").evaluate_all(
+            """texts => texts.filter((text) => text.textContent).map((text) => {
+                const { b, d } = text.getScreenCTM();
+                return text.getBBox().height * Math.hypot(b, d);
+            })"""
+        )
+        assert min(heights) > 12  # pixels
+        lines = "option => option.getClientRects().length"
+        assert page.locator("pre .option").count() == 2
+        assert all(part.evaluate(lines) == 1 for part in page.locator("pre .option").all())
+        assert page.get_by_role("figure").count() == 2
+        page.emulate_media(color_scheme="dark")
+        colour = "part => getComputedStyle(part).%s"
+        for selector in ("body", "svg text", "td"):
+            assert page.locator(selector).first.evaluate(colour % "color") == "rgb(232, 232, 230)"
+        assert page.locator("svg > rect").first.evaluate(colour % "fill") == "none"
+        assert page.locator("body").evaluate(colour % "backgroundColor") == "rgb(19, 20, 22)"
+
+
 def test_results_of_a_scene_whose_name_is_no_utf8_are_written(tmp_path):
     ResultFolder(tmp_path).finish(rows_of("ours", BASE, scene="a\udcff"))
     for name in ("results.md", "results.html", "plot.svg"):

@@ -1,10 +1,11 @@
 """Line charts as SVG."""
 
+from itertools import pairwise
 from xml.etree import ElementTree as ET
 
 import pytest
 
-from nanogs.charts import Chart, svg
+from nanogs.charts import Chart, narrow_svg, svg
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -63,6 +64,51 @@ def test_each_axis_has_a_few_ticks_at_round_values(line):
     assert 0 <= min(horizontal) < max(horizontal) <= 300
     numbers = texts(drawing)[3 : 3 + len(grid_lines)]
     assert max(len(number.strip("0-").replace(",", "")) for number in numbers) <= 8
+
+
+@pytest.mark.parametrize("draw", [lambda chart: svg([chart]), narrow_svg])
+@pytest.mark.parametrize("line", [
+    [(100_000.0, 20.0), (10_000_000.0, 40.0)], [(1_100_000.0, 20.0), (2_100_000.0, 40.0)],
+    [(20_000.0, 20.0), (3_000_000.0, 40.0)], [(0.04, 20.0), (5.0, 40.0)],
+])  # fmt: skip
+def test_labels_of_the_horizontal_axis_do_not_touch(draw, line):
+    """As 8 pixels for a digit: two numbers side by side would be read as one."""
+    drawing = ET.fromstring(draw(Chart("", "splats", {"x": line})))
+    labels = [
+        found
+        for found in drawing.iter(f"{SVG}text")
+        if found.get("text-anchor") == "middle" and (found.text or "")[:1].isdigit()
+    ]
+    ends = [
+        (float(found.get("x")) - half, float(found.get("x")) + half)
+        for found in labels
+        for half in [4 * sum(letter.isdigit() or 0.5 for letter in found.text)]
+    ]
+    assert len(ends) >= 2
+    assert all(before[1] < after[0] for before, after in pairwise(ends))
+
+
+def test_a_narrow_chart_has_its_legend_below_its_axis_and_no_title():
+    lines = {f"line {number}": [(1.0, 2.0 + number)] for number in range(5)}
+    drawing = ET.fromstring(narrow_svg(Chart("title", "MB", lines)))
+    assert int(drawing.get("width")) == 350
+    assert "title" not in texts(drawing)
+    [chart] = [group for group in drawing if group.get("transform")]
+    _, top = map(int, chart.get("transform").removeprefix("translate(").strip(")").split())
+    placed = {found.text: float(found.get("y")) for found in drawing.iter(f"{SVG}text")}
+    names = [placed[name] for name in lines]
+    assert names == sorted(set(names))
+    assert placed["MB"] < min(names)
+    assert top + max(names) + 5 < int(drawing.get("height"))
+
+
+def test_a_page_can_give_a_chart_its_own_colours():
+    """The background is the only `rect` of the element, and nothing else is white or black."""
+    drawing = drawn(Chart("", "splats", {"x": [(1.0, 2.0), (10.0, 3.0)]}))
+    assert [child.get("fill") for child in drawing if child.tag == f"{SVG}rect"] == ["#fff"]
+    assert (drawing.get("color"), drawing.get("fill")) == ("#222", "currentColor")
+    strokes = {part.get("stroke") for part in drawing.iter(f"{SVG}path")} - {None}
+    assert strokes == {"currentColor"}
 
 
 def test_names_are_shown_in_the_chart_and_escaped():

@@ -576,6 +576,17 @@ def test_the_plot_can_be_read_on_a_phone(opened):
 
 
 @driver_may_warn
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_plot_has_the_colours_of_the_page(opened, scheme):
+    page = opened(color_scheme=scheme)
+    colour = "part => getComputedStyle(part).color"
+    page_colour = page.locator("body").evaluate(colour)
+    assert page.locator(".plot text").first.evaluate(colour) == page_colour
+    fill = page.locator(".plot svg > rect").evaluate("part => getComputedStyle(part).fill")
+    assert fill == "none"
+
+
+@driver_may_warn
 def test_a_long_name_leaves_the_picture_visible(opened):
     page = opened(**PHONE)
     right = page.locator("#right")

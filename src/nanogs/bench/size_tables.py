@@ -1,14 +1,16 @@
 """The table of gains at equal file size, and the HTML page of a run with file sizes."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from importlib.resources import files
 
 from nanogs.bench.gains import Gain, MeanGain, mean_gains, score_on
 from nanogs.bench.means import unique
 from nanogs.bench.rows import BenchRow, Status
 from nanogs.bench.size_charts import SizeCharts
-from nanogs.charts import svg
+from nanogs.charts import narrow_svg
 from nanogs.formatting import NONE, counted, number_text
 
 TITLE = "Gain at equal size"
@@ -90,12 +92,15 @@ def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) ->
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(text).render(
         title=TITLE,
-        preamble=preamble.replace("```\n", "").strip(),
+        preamble=Markup(_wrappable(preamble.replace("```\n", "").strip())),  # noqa: S704
         legend=LEGEND if gains else ALONE,
         gains=gain_table(gains),
         remarks=gain_remarks(gains),
-        # One SVG for each chart, so that they fit a phone; `svg` escapes their text.
-        charts=[Markup(svg([chart])) for chart in SizeCharts(rows).charts],  # noqa: S704
+        # One SVG for each chart, so that they fit a phone; `narrow_svg` escapes their text.
+        charts=[
+            (chart.title, Markup(narrow_svg(chart)))  # noqa: S704
+            for chart in SizeCharts(rows).charts
+        ],
         files=file_table(rows),
         left_out=[
             f"{row.scene}, {row.method} at {row.target.text}: {row.status}: {row.reason}"
@@ -103,6 +108,14 @@ def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) ->
             if row.status is not Status.OK
         ],
         scenes=counted(len(unique(row.scene for row in rows)), "scene"),
+    )
+
+
+def _wrappable(preamble: str) -> str:
+    """Return the text as HTML whose lines a page may end anywhere but within an option."""
+    joined = escape(re.sub(r"\n +", " ", preamble))
+    return re.sub(
+        r"(?<=\s)--?[a-z][a-z0-9-]*(?=\s|$)", r'<span class="option">\g<0></span>', joined
     )
 
 
