@@ -3,15 +3,19 @@
 import contextlib
 import io
 import os
+import re
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import nanogs
 from browsers import CHROMIUM, browser, without_errors
 from builders import solid
 from fake_studio import LAYOUT, running_fake
+from nanogs.pipeline.stages import STAGES
 from viewer_bundle import require_bundle
 
 pytestmark = [
@@ -500,6 +504,28 @@ def test_opening_the_filters_leaves_what_is_typed_into_them(studio):
     assert page.input_value("#opacity") == "0.1"
 
 
+def test_the_legend_of_the_error_map_holds_its_numbers_and_tells_of_magenta(studio):
+    """Splats to be removed differ from the result by their magenta, not by an error of it."""
+    page, fake = studio.page, studio.fake
+    page.keyboard.press("e")
+    legend = page.locator("#legend").bounding_box()
+    for mark in (box.bounding_box() for box in page.locator("#legend-marks span").all()):
+        assert legend["x"] + 4 < mark["x"]
+        assert mark["x"] + mark["width"] < legend["x"] + legend["width"] - 4
+    assert not page.is_visible("#legend-preview")
+    page.click("#sift summary")
+    page.check("#crop")
+    number = fake.wait("filter")["number"]
+    took = [{"name": "crop", "argument": "", "removed": 100, "left": 200}]
+    fake.send_event(
+        type="filtered", preview=True, number=number, took=took, left=200,
+        model=fake.model("magenta"),
+    )  # fmt: skip
+    page.wait_for_selector("#legend-preview:visible", timeout=TIMEOUT)
+    page.click("#untake")
+    studio.wait_until(lambda: not page.is_visible("#legend-preview"))
+
+
 def test_a_reduced_model_is_said_to_be_one_beside_the_picture_and_the_error_map(studio):
     page, fake = studio.page, studio.fake
     page.keyboard.press("e")
@@ -709,6 +735,36 @@ def test_work_is_cancelled_by_a_button_and_by_a_key(studio):
     studio.wait_for_state("coarse", number)
     studio.wait_until(lambda: not page.is_visible("#cancel"))
     assert page.inner_text("#said") == "Cancelled"
+
+
+def test_the_status_line_says_stages_in_words(studio):
+    """It said "Saving: correct_1"; a stage without words leaves the job alone."""
+    page, fake = studio.page, studio.fake
+    number = fake.requests[-1][1]["number"]
+    for stage, words in [
+        ("correct_1", "Making the model: choosing what to merge"),
+        ("level_0", "Making the model: level 0"), ("sift", "Making the model …"),
+    ]:  # fmt: skip
+        fake.send_event(type="progress", number=number, kind="draft", stage=stage, fraction=0.5)
+        studio.wait_until(lambda words=words: page.inner_text("#said") == words)
+
+
+def test_each_stage_of_a_result_has_words(studio):
+    package = Path(nanogs.__file__).parent
+    code = [*package.glob("pipeline/**/*.py"), package / "levels_of_detail.py"]
+    named = {
+        name
+        for path in code
+        for name in re.findall(r"(?:\bStage|\.begin)\(\"(\w+)\"", path.read_text(encoding="utf-8"))
+    }
+    assert {"search", "pack", "measure"} < named
+    said = studio.page.evaluate(
+        "async names => { const { jobText } = await import('./static/stages.js');"
+        " return names.map((name) => jobText('Saving', name)); }",
+        sorted(stages := named | set(STAGES)),
+    )
+    without = [name for name, words in zip(sorted(stages), said, strict=True) if "…" in words]
+    assert without == []
 
 
 @pytest.mark.parametrize("focused", ["#splats-range", "#splats", "#format", "#floaters"])

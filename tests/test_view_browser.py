@@ -368,6 +368,7 @@ def test_a_report_loads_its_models_on_request(chromium, files, tmp_path):
         label = page.locator(name).bounding_box()
         assert label["width"] * label["height"] < 0.06 * panel["width"] * panel["height"]
     chooser = page.get_by_label("Model on the right")
+    assert chooser.evaluate("chooser => getComputedStyle(chooser).textOverflow") == "ellipsis"
     chooser.select_option(label="blue: 200 splats (66.67\N{NO-BREAK SPACE}%)")
     assert "200" not in page.locator(".nv-left").inner_text()
     half = many.shape[1] // 2

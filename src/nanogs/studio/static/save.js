@@ -2,6 +2,7 @@
 
 import { byId, copyButton, make, showCommand } from "./dom.js";
 import * as numbers from "./numbers.js";
+import { jobText } from "./stages.js";
 import { showFraction } from "./status.js";
 
 const PAUSE = 150; // milliseconds without typing before the name is checked
@@ -195,7 +196,7 @@ export function makeSave(scene, state, connection, { onStart, onEnd }) {
 
   connection.on("progress", (event) => {
     if (!running || event.number !== running) return;
-    say(`Saving${event.stage ? `: ${event.stage}` : " …"}`);
+    say(jobText("Saving", event.stage));
     showFraction(byId("save-progress"), event.fraction);
   });
   connection.on("saved", (event) => {

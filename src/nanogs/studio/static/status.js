@@ -1,6 +1,7 @@
 // The status line: the running job, its progress, and error messages.
 
 import { byId } from "./dom.js";
+import { jobText } from "./stages.js";
 
 const WORDS = {
   open: "Opening",
@@ -36,7 +37,7 @@ export function makeStatus(cancel) {
       return !button.hidden;
     },
     work({ kind, stage, fraction, number }) {
-      const words = `${WORDS[kind] ?? kind}${stage ? `: ${stage}` : " …"}`;
+      const words = jobText(WORDS[kind] ?? kind, stage);
       if (said.textContent !== words) said.textContent = words;
       showFraction(bar, fraction);
       bar.classList.toggle("quiet", kind === "curve");
