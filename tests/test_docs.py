@@ -195,6 +195,26 @@ def test_the_command_reference_lists_all_commands_and_options(hooks, commands):
             assert option[0] != "-" or f"`{option}`" in text
 
 
+def test_help_texts_in_the_command_reference_keep_their_code_and_nothing_else(hooks):
+    cell = hooks["commands"]._cell
+    assert cell("as `nanogs compare` does, <x>_y_ | *z*") == (
+        r"as `nanogs compare` does, &lt;x\>\_y\_ \| \*z\*"
+    )
+    assert r"\`" not in hooks["commands"].reference()
+
+
+def test_options_in_code_of_the_site_are_marked_and_nothing_else(hooks):
+    """The style sheet keeps marked options in one line."""
+    page = hooks["pages"].on_page_content
+    marked = '<span class="option">{}</span>'.format
+    assert page("<p>a --b <code>nanogs x-y a.ply --ratio 0.1 -w</code> --c</p>") == (
+        f"<p>a --b <code>nanogs x-y a.ply {marked('--ratio')} 0.1 {marked('-w')}</code> --c</p>"
+    )
+    line = '<a id="a -b" href="#x --c"></a><span class="w"> </span>{}<span class="w"> </span>f(-1)'
+    code = f"<pre><code>{line}</code></pre>".format
+    assert page(code("--sh-degree")) == code(marked("--sh-degree"))
+
+
 @pytest.mark.parametrize("page", sorted((DOCS / "reference").glob("*.md")), ids=lambda p: p.name)
 def test_names_in_the_api_reference_exist(page):
     """`make docs` reads names from the source, and fails on one that is not there."""

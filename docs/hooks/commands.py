@@ -1,5 +1,6 @@
 """The reference of the commands, from what the program itself knows of them."""
 
+import re
 from typing import Any
 
 from typer.main import get_command
@@ -70,8 +71,9 @@ def _default(option: Any) -> str:  # noqa: ANN401
 
 
 def _cell(text: str | None) -> str:
-    """Text that may stand in a table, nothing in it read as Markdown or HTML."""
-    plain = " ".join((text or "").split())
-    for character in "\\`*_{}[]<>|#":
-        plain = plain.replace(character, f"\\{character}" if character != "<" else "&lt;")
-    return plain
+    """Text that may stand in a table; of Markdown, only code between backticks is read as such."""
+    parts = " ".join((text or "").split()).split("`")
+    parts[::2] = [
+        re.sub(r"[\\*_{}\[\]>|#]", r"\\\g<0>", part).replace("<", "&lt;") for part in parts[::2]
+    ]
+    return "`".join(parts)

@@ -1,6 +1,6 @@
 """What the build adds to the documentation: pictures, tables, and pages made of other files.
 
-MkDocs calls `on_files` and `on_page_markdown`. A line `<!-- made: NAME -->` in a page stands for
+MkDocs calls the functions `on_...`. A line `<!-- made: NAME -->` in a page stands for
 the text that `TEXTS` makes.
 """
 
@@ -16,6 +16,8 @@ import pictures
 
 ROOT = Path(__file__).resolve().parents[2]
 MARKER = re.compile(r"^<!-- made: (.+) -->$", re.MULTILINE)
+CODE = re.compile(r"<code>.*?</code>", re.DOTALL)
+OPTION = re.compile(r"(?<=[\s>])--?[a-z][a-z0-9-]*(?=[\s<])(?![^<>]*>)")  # not within a tag
 
 
 def changes() -> str:
@@ -51,6 +53,12 @@ def on_files(files: Any, config: Any) -> Any:  # noqa: ANN401 - types of MkDocs,
 def on_page_markdown(markdown: str, **_others: object) -> str:
     """Put what is made in place of its marker; an unknown one ends the build."""
     return MARKER.sub(lambda match: _text(match[1]), markdown)
+
+
+def on_page_content(html: str, **_others: object) -> str:
+    """Mark the options in code, so that the style sheet keeps each in one line."""
+    marked = r'<span class="option">\g<0></span>'
+    return CODE.sub(lambda code: OPTION.sub(marked, code[0]), html)
 
 
 @cache

@@ -9,7 +9,7 @@ import numpy as np
 
 import nanogs
 from nanogs._types import F32, U8
-from nanogs.charts import Chart, svg
+from nanogs.charts import Chart, narrow_svg
 from nanogs.datasets.plant import load_plant
 from nanogs.raster.camera import Camera
 from nanogs.raster.images import to_bytes
@@ -22,6 +22,8 @@ from nanogs.views.automatic import automatic_cameras
 RATIOS = (0.25, 0.1, 0.03)
 WIDTH, HEIGHT, VIEWS = 480, 480, 4
 SHOWN = 1  # of the views
+
+_DARK = "@media (prefers-color-scheme: dark) { svg { color: #ddd } rect { fill: none } }"
 
 NAMES = ("original.png", "tenth.png", "random.png", "difference.png", "curve.svg")
 
@@ -81,13 +83,14 @@ def _png(image: U8) -> bytes:
 
 
 def _curve(comparison: Comparison) -> bytes:
-    """PSNR over the share of splats kept."""
+    """PSNR over the share of splats kept, in the reader's colour scheme."""
     shown = [model.psnr for model in comparison.models]
     lines = {
         "simplified": [(100 * ratio, psnr) for ratio, psnr in zip(RATIOS, shown, strict=False)],
         "at random": [(10.0, shown[-1])],
     }
-    return svg([Chart("", "splats kept, %", lines)]).encode()
+    drawn = narrow_svg(Chart("", "splats kept, %", lines))
+    return drawn.replace("<rect", f"<style>{_DARK}</style><rect", 1).encode()
 
 
 def _table(comparison: Comparison) -> str:
