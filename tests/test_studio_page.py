@@ -749,6 +749,16 @@ def test_the_status_line_says_stages_in_words(studio):
         studio.wait_until(lambda words=words: page.inner_text("#said") == words)
 
 
+def test_the_status_line_is_at_rest_once_the_plot_is_filled(studio):
+    """It said "Filling the plot" for as long as nothing else was asked for."""
+    page, fake = studio.page, studio.fake
+    fake.send_event(type="progress", number=None, kind="curve", stage="measure", fraction=0.9)
+    page.wait_for_selector("#progress:visible")
+    fake.send_event(type="explored")
+    studio.wait_until(lambda: page.inner_text("#said") == "Ready")
+    assert not page.is_visible("#progress")
+
+
 def test_each_stage_of_a_result_has_words(studio):
     package = Path(nanogs.__file__).parent
     code = [*package.glob("pipeline/**/*.py"), package / "levels_of_detail.py"]

@@ -106,6 +106,7 @@ def test_the_plot_gets_points_while_no_request_runs(page):
         page.wait("point", seconds=until - time.monotonic())
     assert sorted(points) == [40, 80, 200, 400, 800, 2000]
     assert sorted(points.values()) == [points[count] for count in sorted(points)]
+    page.wait("explored")
 
 
 def test_a_size_and_a_psnr_are_met_by_finding_a_count(page):

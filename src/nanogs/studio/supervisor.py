@@ -140,10 +140,15 @@ class WorkerSupervisor:
         if job.kind == "ask" and outcome == "done":
             self._curve = job
         elif job.kind == "curve" and outcome != "cancelled":
-            self._curve = None
+            self._end_curve(job)
         elif job.kind == "open" and outcome == "failed":
             self._end_unopened()
         self._go_on()
+
+    def _end_curve(self, job: Job) -> None:
+        """Leave the curve as it is, and tell its page that nothing is done any more."""
+        self._curve = None
+        self._deliver(job.page, {"type": "explored"}, {})
 
     def _end_unopened(self) -> None:
         """Cancel all jobs and end the worker after opening has failed; the next request retries."""
@@ -197,7 +202,7 @@ class WorkerSupervisor:
             )
             self._tell(job, {"type": "failed", "message": message})
         if job is not None and job.kind == "curve":
-            self._curve = None  # trying it again would end the same way
+            self._end_curve(job)  # trying it again would end the same way
         elif job is not None and job.kind == "open":
             self._end_unopened()  # so would this, for as long as a job is waiting
         if not self.queue.idle:

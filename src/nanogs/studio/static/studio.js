@@ -101,6 +101,7 @@ function begin(scene) {
   connection.on("made", answers.made);
   connection.on("measured", answers.measured);
   connection.on("point", answers.point);
+  connection.on("explored", rest);
   connection.on("cancelled", (event) => {
     answers.cancelled(event);
     preview.refused(event.number, "Cancelled.");
