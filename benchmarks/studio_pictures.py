@@ -58,6 +58,7 @@ def _choose(page: Page) -> None:
     page.wait_for_selector("body[data-state=coarse], body[data-state=measuring]")
     page.wait_for_selector("body[data-state=measured]")
     page.locator("#plot .point.coarse").nth(COARSE - 1).wait_for()
+    page.get_by_text("Ready", exact=True).wait_for()
     page.wait_for_selector("#view[data-state=still]")
 
 
