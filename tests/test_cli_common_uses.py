@@ -247,8 +247,8 @@ def test_render_writes_one_png_file(folder, tmp_path):
     several = run("render", folder / "a.ply", tmp_path / "new.png", "--views", "3")
     assert_refused(several, "one picture", "3 views", "folder")
     for views in ((), ("--views", 1), ("--views", 4)):
-        assert_refused(run("render", folder / "a.ply", tmp_path / "p.jpg", *views), "PNG", "p.png")
-        assert not (tmp_path / "p.jpg").exists()
+        assert_refused(run("render", folder / "a.ply", tmp_path / "p.gif", *views), ".png", "p.png")
+        assert not (tmp_path / "p.gif").exists()
     assert not (tmp_path / "new.png").exists()
     missing = run("render", folder / "a.ply", tmp_path / "new" / "x.png")
     assert_refused(missing, "new does not exist; create it first")

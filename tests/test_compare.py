@@ -28,7 +28,7 @@ from nanogs.scoring.page import rate_distortion_plot, render_page
 from nanogs.scoring.pictures import data_uri, error_map
 from nanogs.scoring.run import compare_files
 from nanogs.scoring.scores import mean_psnr
-from nanogs.views.png import file_names, render_images
+from nanogs.views.pictures import file_names, render_images
 from test_cli import assert_refused
 
 
@@ -645,6 +645,31 @@ def test_transparent_pictures_do_not_depend_on_the_background(tmp_path):
         )
         images.append(np.array(Image.open(path)))
     assert np.array_equal(*images)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("a.jpg", "JPEG"), ("a.JPEG", "JPEG"), ("a.webp", "WEBP")]
+)
+def test_one_picture_is_written_in_the_format_of_its_name(tmp_path, name, kind):
+    splats = random_splats(200)
+    [path], _ = render_images(splats, camera(), tmp_path / "exact.png")
+    files, _ = render_images(splats, camera(), tmp_path / name, depth=True)
+    assert files == [str(tmp_path / each) for each in (name, "a_depth.png")]
+    with Image.open(files[0]) as found, Image.open(path) as exact:
+        assert (found.format, found.size) == (kind, exact.size)
+        off = np.asarray(found.convert("RGB"), float) - np.asarray(exact, float)
+    assert 0 < np.sqrt(np.mean(off**2)) < 8
+
+
+def test_what_a_picture_cannot_hold_is_refused(tmp_path):
+    splats, wide = random_splats(20), replace(camera(), width=16384, height=1)
+    with pytest.raises(OptionError, match=r"JPEG has no alpha; name .*a\.png or .*a\.webp"):
+        render_images(splats, camera(), tmp_path / "a.jpg", transparent=True)
+    with pytest.raises(OptionError, match=r"at most 16383 pixels along a side; name .*a\.png"):
+        render_images(splats, wide, tmp_path / "a.webp")
+    [path], _ = render_images(splats, camera(), tmp_path / "a.webp", transparent=True)
+    with Image.open(path) as found:
+        assert found.mode == "RGBA"
 
 
 def test_pictures_need_a_model_and_cameras(tmp_path):

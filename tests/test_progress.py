@@ -15,7 +15,7 @@ from nanogs.lod.layout import LodLayout
 from nanogs.progress import Stage, Step, Tracker, each
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.views.automatic import automatic_cameras
-from nanogs.views.png import render_images
+from nanogs.views.pictures import render_images
 
 pytestmark = pytest.mark.usefixtures("small_views")
 PLAN = [Stage("first", 1.0), Stage("second", 3.0)]

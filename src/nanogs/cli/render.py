@@ -13,7 +13,7 @@ from nanogs.errors import OptionError
 from nanogs.formatting import counted
 
 _PIXELS = "1280x720"
-_OTHERS = (".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".exr")
+_OTHERS = (".gif", ".tif", ".tiff", ".bmp", ".exr", ".avif")
 
 
 @with_options
@@ -32,16 +32,16 @@ def render(
         typer.Argument(
             metavar="OUT",
             parser=parsing.parse_output,
-            help="Folder for the PNG files; or one .png file, for one view.",
+            help="Folder for PNG files; or one .png, .jpg or .webp file, for one view.",
         ),
     ],
-    views: Annotated[int | None, options.views("8, or 1 for a .png")] = None,
+    views: Annotated[int | None, options.views("8, or 1 for one file")] = None,
     pixels: Annotated[str | None, options.pixels(_PIXELS)] = None,
     cameras: options.Cameras = "auto",
     up: options.Up = None,
     background: options.GivenBackground = None,
     transparent: Annotated[
-        bool, typer.Option(help="Keep alpha in the PNG files instead of a background.")
+        bool, typer.Option(help="Keep alpha in the files instead of a background.")
     ] = False,
     depth: Annotated[
         bool, typer.Option(help="Also write depth as 16-bit PNG, near is bright.")
@@ -50,7 +50,7 @@ def render(
     device: options.Device = "cpu",
     run: options.Running,
 ) -> None:
-    """Render a model to PNG files."""
+    """Render a model to pictures."""
     # Imported here because `--help` does not need it.
     from nanogs.cli.console import say
     from nanogs.cli.fetching import fetched
@@ -74,8 +74,8 @@ def render(
     from nanogs.threads import use_threads
     from nanogs.views.cameras import chosen_cameras, known_cameras
     from nanogs.views.costing import pictures_of
+    from nanogs.views.pictures import render_images
     from nanogs.views.plan import rendering_remedy, room_for_pictures
-    from nanogs.views.png import render_images
 
     refuse_address(target, "pictures are written to a folder or file: name one")
     wanted = known_cameras(cameras)
@@ -108,12 +108,14 @@ def _is_picture(target: Path) -> bool:
     """Return whether a path is an image file rather than a folder.
 
     Raises:
-        OptionError: It is an image file of another format than PNG.
+        OptionError: It is an image file of a format that is not written.
     """
+    from nanogs.io.registry import PICTURES
+
     suffix = target.suffix.lower()
     if suffix in _OTHERS and not target.is_dir():
         raise OptionError(
-            f"{target}: pictures are written as PNG; name {target.with_suffix('.png')}, or a folder"
-            " for several."
+            f"{target}: pictures are written as {', '.join(PICTURES)}; name"
+            f" {target.with_suffix('.png')}, or a folder for several."
         )
-    return suffix == ".png"
+    return suffix in PICTURES

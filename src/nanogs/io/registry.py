@@ -22,7 +22,7 @@ LEVEL_LIST = "levels.json"  # the list of levels in a folder with one file for e
 ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
 _OF_LEVELS = (LEVELS, TILESET, ARCHIVE)
 _TO_TEXT = "convert it to text with OpenUSD's usdcat, into a .usda file"
-_PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 # How to get a model out of files that are not read, and whose names resemble those that are.
 _REMEDIES = {
     ".usd": _TO_TEXT,
@@ -332,7 +332,7 @@ def writable(path: Path) -> Format:
     known = find(path)
     if known is not None and known.suffix in _OF_LEVELS:
         raise OptionError(f"{path} describes levels of detail; make them with `nanogs lod`.")
-    if known is None and path.suffix.lower() in _PICTURES:
+    if known is None and path.suffix.lower() in PICTURES:
         raise OptionError(f"{path} names a picture; make pictures with `nanogs render`.")
     if known is None and not isinstance(path, Address) and is_folder(path):
         raise OptionError(f"{path} is a folder; name a file in it, such as {path / 'scene.ply'}.")

@@ -1,4 +1,4 @@
-"""Rendering into PNG files."""
+"""Rendering into picture files."""
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,6 +23,13 @@ from nanogs.views.cameras import check_cameras, frame_notes
 from nanogs.views.streamed import drawable, renderings
 
 _PHOTO = re.compile(r"\.(png|jpe?g|webp)$", re.IGNORECASE)
+_LOSSY = {"quality": 92}  # of 100
+# Suffixes of single pictures, with Pillow's name of the format and its options.
+_ENCODINGS: dict[str, tuple[str, dict[str, int]]] = {
+    ".png": ("PNG", {}), ".jpg": ("JPEG", _LOSSY), ".jpeg": ("JPEG", _LOSSY),
+    ".webp": ("WEBP", _LOSSY),
+}  # fmt: skip
+_LARGEST_WEBP = 16383  # pixels along a side
 
 
 def render_images(
@@ -39,11 +46,13 @@ def render_images(
 ) -> tuple[list[str], list[str]]:
     """Render each camera into a PNG file named after it, or a single one into a file of any name.
 
+    JPEG and WebP files have a quality of 92 of 100.
+
     Args:
         model: The model.
         cameras: The views, or one view; their names become file names.
         target: A folder, created if it is missing (but not its parents); or, for one camera, a
-            `.png` file in an existing folder.
+            `.png`, `.jpg`, `.jpeg` or `.webp` file in an existing folder.
         background: RGB in [0, 1]; not used with `transparent`.
         transparent: Write RGBA with straight alpha and no background.
         depth: Also write `<name>_depth.png`, 16 bits: 65535 is the nearest depth of the view, 1 the
@@ -59,7 +68,7 @@ def render_images(
     Raises:
         ModelError: `model` is no model.
         OptionError: There is no view, or one is no camera, or an invalid one; two give one file
-            name, or there are several for one file.
+            name, or there are several for one file; or the file's format cannot hold the picture.
         OutputError: The folder cannot be made, or a file exists or cannot be written.
     """
     target, cameras = Path(target), one_or_several(cameras)
@@ -67,6 +76,7 @@ def render_images(
     if not cameras:
         raise OptionError("There is no view to render; give one camera or more.")
     folder, names, suffix = _places(target, cameras)
+    _refuse_unstorable(suffix, target, cameras[0], transparent=transparent)
     files = [_files(name, suffix, depth=depth) for name in names]
     written = [name for each in files for name in each]
     _refuse_shared(written)
@@ -105,6 +115,22 @@ def _left(before: set[str], written: Sequence[str], folder: Path) -> list[str]:
     return [f"{left} left in {folder}: {named}"]
 
 
+def _refuse_unstorable(suffix: str, target: Path, camera: Camera, *, transparent: bool) -> None:
+    """Refuse a picture that its format cannot hold.
+
+    Raises:
+        OptionError: It is to be transparent, or is too large.
+    """
+    kind, _ = _ENCODINGS[suffix.lower()]
+    png = target.with_suffix(".png")
+    if transparent and kind == "JPEG":
+        raise OptionError(f"{target}: JPEG has no alpha; name {png} or {png.with_suffix('.webp')}.")
+    if kind == "WEBP" and max(camera.width, camera.height) > _LARGEST_WEBP:
+        raise OptionError(
+            f"{target}: WebP holds at most {_LARGEST_WEBP} pixels along a side; name {png}."
+        )
+
+
 @contextmanager
 def _filled(folder: Path) -> Iterator[Path]:
     """Provide the folder to write files to; a new folder appears complete or not at all."""
@@ -133,9 +159,9 @@ def _write(
     skipped = 0
     for rendering, (name, *depth) in zip(shown, files, strict=True):
         skipped = rendering.skipped
-        save_png(color_image(rendering, transparent), folder / name, overwrite=overwrite)
+        _save(color_image(rendering, transparent), folder / name, overwrite=overwrite)
         for other in depth:
-            save_png(depth_image(rendering), folder / other, overwrite=overwrite)
+            _save(depth_image(rendering), folder / other, overwrite=overwrite)
         notes.update(dict.fromkeys(rendering.notes))
         if not rendering.alpha.any():
             unseen.append(Path(name).stem)
@@ -147,7 +173,7 @@ def _write(
 
 def _places(target: Path, cameras: Sequence[Camera]) -> tuple[Path, list[str], str]:
     """Return the folder of the files, their names without suffix, and the suffix."""
-    if target.suffix.lower() != ".png":
+    if target.suffix.lower() not in _ENCODINGS:
         return target, file_names(cameras), ".png"
     if len(cameras) > 1:
         raise OptionError(
@@ -158,7 +184,8 @@ def _places(target: Path, cameras: Sequence[Camera]) -> tuple[Path, list[str], s
 
 def _files(name: str, suffix: str, *, depth: bool) -> list[str]:
     """Return the names of the files of one view: the image, and its depth if requested."""
-    return [f"{name}{suffix}", *([f"{name}_depth{suffix}"] if depth else [])]
+    png = suffix if suffix.lower() == ".png" else ".png"
+    return [f"{name}{suffix}", *([f"{name}_depth{png}"] if depth else [])]
 
 
 def _refuse_shared(files: Sequence[str]) -> None:
@@ -196,13 +223,14 @@ def file_names(cameras: Sequence[Camera]) -> list[str]:
     return names
 
 
-def save_png(image: Array, path: Path, *, overwrite: bool) -> None:
-    """Write a PNG file.
+def _save(image: Array, path: Path, *, overwrite: bool) -> None:
+    """Write a picture in the format that its name says.
 
     Raises:
         OutputError: The file exists, or cannot be written.
     """
     from PIL import Image
 
+    kind, options = _ENCODINGS[path.suffix.lower()]
     with atomic_write(path, overwrite=overwrite) as file:
-        Image.fromarray(image).save(file, format="PNG")
+        Image.fromarray(image).save(file, format=kind, **options)
