@@ -283,3 +283,47 @@ def test_a_large_model_gets_the_same_description_as_a_small_one(tmp_path, monkey
     for name in ("alpha", "scale"):
         assert description.pop(name) == pytest.approx(expected.pop(name), rel=1e-6)
     assert description == expected
+
+
+def columns_of(model):
+    """The columns of a `.ply` that have statistics, with the values that these are of."""
+    yield from zip("xyz", model.means.T, strict=True)
+    yield from zip(("f_dc_0", "f_dc_1", "f_dc_2"), model.sh[:, 0].T, strict=True)
+    if model.sh_degree:
+        yield "f_rest, band 1", model.sh[:, 1:4]
+    yield "opacity", model.opacity_logits
+    yield from ((f"scale_{axis}", model.log_scales[:, axis]) for axis in range(3))
+    yield from ((f"rot_{place}", model.quats[:, place]) for place in range(4))
+    yield from model.extras.items()
+
+
+def test_statistics_of_columns_are_those_of_all_rows(tmp_path, small_blocks):
+    model = random_splats(50, degree=1, extras={"label": np.arange(50, dtype=np.uint8)})
+    model.means[:2, 1], model.log_scales[3, 2], model.sh[4, 2, 1] = np.nan, -np.inf, np.nan
+    model.opacity_logits[:7] = np.inf
+    io.save(model, tmp_path / "a.ply")
+    found = {each.column: each for each in describe(tmp_path / "a.ply", columns=True).columns}
+    expected = dict(columns_of(model))
+    assert list(found) == list(expected)
+    for name, values in expected.items():
+        finite = values[np.isfinite(values)].astype(np.float64)
+        one = found[name]
+        assert (one.nan, one.infinite) == (np.isnan(values).sum(), np.isinf(values).sum()), name
+        assert (one.min, one.max) == (finite.min(), finite.max()), name
+        assert one.mean == pytest.approx(finite.mean(), rel=1e-12, abs=1e-12), name
+        assert one.std == pytest.approx(finite.std(), rel=1e-12), name
+    assert describe(tmp_path / "a.ply").columns == ()
+
+
+def test_a_column_without_finite_values_has_no_statistics(tmp_path):
+    model = random_splats(3, extras={"[red]": np.ones(3, np.float32)})
+    model.opacity_logits[:] = np.inf
+    io.save(model, tmp_path / "a.ply")
+    shown = run("info", tmp_path / "a.ply", "--columns")
+    assert shown.returncode == 0, shown.stderr
+    assert re.search(r"^ *\[red\] +1 +1 +0 +1 +0 +0$", shown.stdout, re.MULTILINE)
+    assert re.search(r"^ *opacity +- +- +- +- +0 +3$", shown.stdout, re.MULTILINE)
+    data = json.loads(run("info", tmp_path / "a.ply", "--columns", "--json").stdout)
+    [opacity] = [each for each in data["columns"] if each["column"] == "opacity"]
+    assert (opacity["mean"], opacity["infinite"]) == (None, 3)
+    assert json.loads(run("info", tmp_path / "a.ply", "--json").stdout)["columns"] == []

@@ -23,7 +23,7 @@ charts costs switches progress clock cleanup allocation threads slices parallel 
 kernels
 card
 bar neighbours percentiles averages
-_arrays splats pose frames gsplat_arrays metrics
+_arrays splats pose frames gsplat_arrays column_statistics metrics
 filters source
 raster
 io

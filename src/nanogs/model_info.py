@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from nanogs._types import F64
+from nanogs.column_statistics import Columns, ColumnStatistics
 from nanogs.findings import join_findings
 from nanogs.formatting import bytes_text, counted
 from nanogs.io import FileInfo, registry
@@ -61,6 +62,7 @@ class ModelInfo:
             level.
         losses: For each format that can be written, by suffix: the parts of the model that it
             cannot hold besides quantisation, one sentence each.
+        columns: Statistics of each column, all splats included; empty if they were not asked for.
     """
 
     file: FileInfo
@@ -75,6 +77,7 @@ class ModelInfo:
     levels: tuple[int, ...]
     environment: int
     losses: dict[str, tuple[str, ...]]
+    columns: tuple[ColumnStatistics, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain dictionaries, lists, numbers and strings."""
@@ -96,11 +99,14 @@ class ModelInfo:
         return f"ModelInfo({'; '.join(parts)})"  # all fields fill a notebook's screen
 
 
-def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelInfo:
+def info(
+    path: str | PathLike[str], *, columns: bool = False, render_mode: str | None = None
+) -> ModelInfo:
     """Describe a model, which is read block by block; a large one twice, for exact percentiles.
 
     Args:
         path: The file, its URL, or the folder of a model.
+        columns: Whether to compute statistics of each column too.
         render_mode: "default" or "mip" in place of the render mode that the file names; see `open`.
 
     Raises:
@@ -109,10 +115,10 @@ def info(path: str | PathLike[str], *, render_mode: str | None = None) -> ModelI
     """
     given = as_path(path)
     with local_copies([given]) as ([file], _):
-        return _described(model_in(file), given, render_mode)
+        return _described(model_in(file), given, render_mode, columns=columns)
 
 
-def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
+def _described(path: Path, given: Path, render_mode: str | None, *, columns: bool) -> ModelInfo:
     """Describe a file; `given` is the path that the caller named: the file or its folder."""
     with open_model(path, render_mode=render_mode) as source:
         file, levels, frame = source.info, source.levels, source.frame
@@ -125,8 +131,11 @@ def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
         census = _Census(
             Percentiles(file.splats, _PERCENTILES), Percentiles(3 * file.splats, _PERCENTILES)
         )
+        every = Columns()
         for block in source.blocks():
             census.add(block)
+            if columns:
+                every.add(block)
         for block in source.blocks() if census.again else ():
             census.add_second_pass(block)
     return ModelInfo(
@@ -142,6 +151,7 @@ def _described(path: Path, given: Path, render_mode: str | None) -> ModelInfo:
         levels=levels or manifest.level_counts(given),
         environment=environment,
         losses={suffix: join_findings(parts) for suffix, parts in census.losses.items()},
+        columns=every.statistics(),
     )
 
 

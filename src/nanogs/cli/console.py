@@ -120,7 +120,8 @@ def entry_table(entries: Sequence[Any]) -> Table:
     for name in names:
         table.add_column(name.replace("_", " "), justify="right")
     for entry in entries:
-        table.add_row(*(_text(getattr(entry, name)) for name in names))
+        # Text, because brackets in a name would be markup.
+        table.add_row(*(Text(_text(getattr(entry, name))) for name in names))
     return table
 
 

@@ -36,6 +36,9 @@ def info(
             help="Model to read: a file, its folder, its URL (https://, s3://), or - for stdin.",
         ),
     ],
+    columns: Annotated[
+        bool, typer.Option("--columns", help="Also print statistics of each column.")
+    ] = False,
     read_as: file_options.From = None,
     render_mode: options.AsMode = None,
     packed: options.Packed = None,
@@ -48,10 +51,11 @@ def info(
     With --views or --photos also how costly it is to draw, and how it should be drawn.
     """
     # Imported here because `--help` does not need it.
-    from nanogs.cli.console import key_value_table, out, print_json, show, warn
+    from nanogs.cli.console import entry_table, key_value_table, out, print_json, show, warn
     from nanogs.cli.streams import Streams
     from nanogs.io import open as open_model
     from nanogs.io.collect import model_in
+    from nanogs.io.texts import printable
 
     formats, looks = parsing.parse_packed(packed, of_format), looking.asked(packed=bool(packed))
     with Streams(read_as).received(source, quiet=json) as path:
@@ -62,7 +66,7 @@ def info(
                     cost = _packing_cost(opened, formats, of_format, looking, quiet=json)
                 if looks:
                     looked = _looked(opened, looking, quiet=json)
-        model = _described(path, source, render_mode)
+        model = _described(path, source, render_mode, columns=columns)
     notes = [*model.notes, *(looked.notes if looked else ())]
     notes += [f"{model.file.path}: {note}" for note in cost.notes] if cost else []
     if json:
@@ -77,6 +81,9 @@ def info(
         warn(note)
     rows = _rows(model, looked is not None) | (_packed_rows(cost.files) if cost else {})
     show(out, key_value_table(rows | (_looked_rows(looked) if looked else {})))
+    if model.columns:
+        entries = [replace(each, column=printable(each.column)) for each in model.columns]
+        show(out, entry_table(entries))
 
 
 def _packing_cost(
@@ -122,12 +129,12 @@ def _packed_rows(files: Sequence["PackedFile"]) -> dict[str, str]:
     }
 
 
-def _described(path: Path, source: Path, mode: str | None) -> "ModelInfo":
+def _described(path: Path, source: Path, mode: str | None, *, columns: bool) -> "ModelInfo":
     """Describe a file; one from stdin is named "stdin" instead of its temporary file."""
     from nanogs.cli.blocks import DASH
     from nanogs.model_info import info as describe
 
-    model = describe(path, render_mode=mode)
+    model = describe(path, columns=columns, render_mode=mode)
     if source != DASH:
         return model
     return replace(model, file=replace(model.file, path=Path("stdin")))
