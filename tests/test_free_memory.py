@@ -20,6 +20,8 @@ from nanogs.io.files import splat_bytes
 from nanogs.io.gltf import packed_write
 from nanogs.memory import LIBRARIES, Memory, allowed_memory, free_memory, process_memory
 from nanogs.memory_estimates import models_bytes
+from nanogs.pipeline.estimates.block_plan import MemoryLimit
+from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.levels import requested_levels
 from nanogs.pipeline.options.presets import effective, parameters
 from nanogs.pipeline.options.target import Goal
@@ -323,6 +325,16 @@ def test_too_little_memory_for_blocks_names_the_default_of_workers(scene, tmp_pa
     said = "^`max_memory` is 211 MB by default with workers and must be at least"
     with ThreadPoolExecutor(1) as pool, pytest.raises(OptionError, match=said):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.1, executor=pool)
+
+
+def test_too_little_memory_to_measure_is_found_before_the_work(scene, tmp_path):
+    """Results in blocks are measured in the share of one process, also if nobody set a limit."""
+    request = Request(
+        goal=Goal(ratio=0.1), inputs=(scene,), output=tmp_path / "a.ply", preset="fast",
+        measured=True, max_memory=LIBRARIES + 10**8, limit=MemoryLimit.FREE,
+    )  # fmt: skip
+    with pytest.raises(NotEnoughMemoryError, match="Measuring takes about"):
+        plan_job(request)
 
 
 def test_resumed_jobs_keep_their_block_size_for_any_free_memory(scene, tmp_path, monkeypatch):

@@ -213,7 +213,8 @@ def _refuse_no_room_to_measure(request: "Request", *, searched: bool) -> None:
         NotEnoughMemoryError: There is not.
     """
     remedy = "ask for a ratio or a count" if searched else "leave out the measurement"
-    allowed = request.max_memory if request.limit is MemoryLimit.GIVEN else None
+    # The default of workers says nothing about this machine, where results are measured.
+    allowed = None if request.limit is MemoryLimit.DEFAULT else request.max_memory
     with Joined(open_parts(request.inputs, request.render_mode)) as source:
         room_for_measuring(source, allowed, remedy)
 
