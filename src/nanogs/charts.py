@@ -201,7 +201,7 @@ def _are_apart(values: Sequence[float], axis: _Axis) -> bool:
 
 
 def _steps(axis: _Axis, most: int = 7) -> list[float]:
-    """Choose at most some round tick values for a linear axis; of seven there are three or more."""
+    """Choose at most some round tick values for a linear axis; of seven there are two or more."""
     least = (axis.high - axis.low) / most
     power = 10.0 ** math.floor(math.log10(least))
     step = next(lead * power for lead in (1, 2, 5, 10) if lead * power >= least)
