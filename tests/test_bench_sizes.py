@@ -266,7 +266,7 @@ def test_the_picture_shows_the_points_in_the_colours_of_the_page():
 
 
 @pytest.mark.parametrize("sizes", [(59_000, 119_000), (101_000, 104_000), (2000, 9_000_000)])
-def test_the_picture_has_the_ticks_of_the_page(monkeypatch, sizes):
+def test_the_picture_has_the_ticks_of_the_drawing(monkeypatch, sizes):
     """Where only a power of ten had a label, nobody could read the other sizes."""
     rows = rows_of("ours", (24.0, 30.0), sizes=sizes)
     labels = []
