@@ -302,8 +302,9 @@ REFUSED = {
     "mirror": (
         layer(prim("float3 xformOp:scale = (-1, 1, 1)\nuniform token[] xformOpOrder ="
                    ' ["xformOp:scale"]')), "mirrors or flattens"),
-    "deep": (layer('def Xform "a" {' * 500), "nested too deeply"),
-    "text": (layer('def "a'), "begins unknown syntax"),
+    "deep": (
+        layer('def Xform "a" {' * 500), "usda: the prim 'a' has no body, or is nested too deeply"),
+    "text": (layer('def "a'), "usda: byte [0-9]+ begins unknown syntax"),
 }  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from nanogs.errors import FormatError
 from nanogs.io.files import damaged
+from nanogs.io.json_fields import refused
 
 _TOKEN = re.compile(
     rb'"""[^"\\]*(?:(?:\\.|"(?!""))[^"\\]*)*"""'
@@ -139,7 +140,8 @@ class _Parser:
             self._skip(opening)
             opening = self._next()
         if opening != b"{" or prim.depth() > _MOST_DEPTH:
-            raise self._damaged(f"the prim {prim.name[:40]!a} has no body, or is nested too deeply")
+            where = f"{self._path}: the prim {prim.name[:40]!a}"
+            raise refused(where, "has no body, or is nested too deeply")
         self._prims.append(prim)
         return prim
 
@@ -207,7 +209,7 @@ class _Parser:
             return b""
         found = _TOKEN.match(self._text, self._at)
         if found is None:
-            raise self._damaged(f"byte {self._at} begins unknown syntax")
+            raise refused(f"{self._path}: byte {self._at}", "begins unknown syntax")
         self._at = found.end()
         return found[0]
 
