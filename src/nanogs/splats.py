@@ -347,7 +347,10 @@ def check_degree(sh_degree: int | None) -> None:
     if not is_number(sh_degree, whole=True):
         raise OptionError(f"The SH degree must be a whole number, not {sh_degree!r}.")
     if not 0 <= sh_degree <= MAX_SH_DEGREE:
-        raise OptionError(f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {sh_degree}.")
+        raise OptionError(
+            f"The SH degree must be from 0 to {MAX_SH_DEGREE}, not {sh_degree}; give such a"
+            " `sh_degree`."
+        )
 
 
 def _finite(splats: Splats) -> Bool:

@@ -80,7 +80,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
 
     Raises:
         OptionError: The format cannot be written, or the name implies another one; or the name is
-            that of another `.json` file, or of a single model.
+            that of another `.json` file, of a picture, or of a single model.
     """
     for layout, ending in _FILES.items():
         if path.suffix.lower() == ending:
@@ -98,19 +98,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
                     " folder for files in another format."
                 )
             return Output(path.parent, layout)
-    if path.suffix.lower() == ".json":
-        described = path.name in (META, registry.LEVEL_LIST)  # of another format
-        folder = path.parent if described else path.parent / path.stem
-        raise OptionError(
-            f"{path}: levels are described by a file called {listed(NAMES.values(), 'or')}; name"
-            f" that, as in {folder / StreamedSog.name}, or a folder."
-        )
-    if known := registry.find(path):
-        given = f', and give `format="{known.suffix.lstrip(".")}"`' if known.write else ""
-        raise OptionError(
-            f"{path} is the name of one {known.suffix} file, but there are several levels: name a"
-            f" folder, as in {path.with_suffix('')}/{given}."
-        )
+    _refuse_files(path)
     if suffix is None:
         return Output(path, LodLayout.FILES)
     ending = registry.suffix_of(suffix)
@@ -123,6 +111,29 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
             )
     registry.writer(registry.file_of(suffix))
     return Output(path, LodLayout.FILES, ending)
+
+
+def _refuse_files(path: Path) -> None:
+    """Refuse the names of other `.json` files, of pictures and of single models as a folder.
+
+    Raises:
+        OptionError: It is one.
+    """
+    if path.suffix.lower() == ".json":
+        described = path.name in (META, registry.LEVEL_LIST)  # of another format
+        folder = path.parent if described else path.parent / path.stem
+        raise OptionError(
+            f"{path}: levels are described by a file called {listed(NAMES.values(), 'or')}; name"
+            f" that, as in {folder / StreamedSog.name}, or a folder."
+        )
+    if path.suffix.lower() in registry.PICTURES:
+        raise OptionError(f"{path} names a picture; name a folder, as in {path.with_suffix('')}/.")
+    if known := registry.find(path):
+        given = f', and give `format="{known.suffix.lstrip(".")}"`' if known.write else ""
+        raise OptionError(
+            f"{path} is the name of one {known.suffix} file, but there are several levels: name a"
+            f" folder, as in {path.with_suffix('')}/{given}."
+        )
 
 
 def refuse_misnamed(path: Path, layout: LodLayout) -> None:
