@@ -119,6 +119,32 @@ def test_room_that_all_splats_cannot_fill_is_used_for_bits():
     assert (found.per_entry, found.bits, count) == (1.5, (("bits", 7),), available)
 
 
+def test_a_larger_palette_is_not_tried_with_bits_that_only_a_small_one_had_room_for():
+    """A .sog of 2 MB of skull had a small palette with 7 bits, and 4 dB less than with 5."""
+    available = 3000
+
+    class Steep(SyntheticModel):
+        """Most splats fit with 5 bits and a large palette; without the last ones much is lost."""
+
+        def bytes_of(self, packing, count):
+            return int((10 + 7 * dict(packing.bits)["sh_bits"] / packing.per_entry) * count) + 100
+
+        def seen(self, packing, count):
+            self.files.append((packing, count))
+            psnr = 40 + 60 * math.log(count / available) - 8 * math.log2(packing.per_entry)
+            psnr += 0.8 * dict(packing.bits)["sh_bits"]
+            size = self.bytes_of(packing, count)
+            return PackingReport(3, packing.options(count), count, size, psnr, 0.9)
+
+    bits = {"sh_bits": Bits(5, range(2, 9), 5, of_harmonics=True)}
+    model = Steep(3, 1.5, 5)
+    choices = Choices([3], palettes=True, bits=bits, own_per_entry=1.0)
+    given = model.guess, model.attempt, available
+    found, count, _ = choose_packing(choices, SIZE, 12.0, *given)
+    assert (found.per_entry, found.bits) == (1.5, (("sh_bits", 5),))
+    assert count > 0.95 * available
+
+
 def test_bits_of_harmonics_are_no_choice_for_files_without_harmonics():
     known = registry.writable(Path("a.spz"))
     without, with_some = (SizeRequest(9000, known, {}, degree).choices(3).bits for degree in (0, 1))

@@ -285,14 +285,24 @@ class _Search:
         files = self.found[_plain(best)]
         if len(files) == 1:
             return best
-        made: set[_Values] = set()
+        best = replace(best, bits=max(files, key=partial(self._hope, best, set())))
+        # A result with a palette takes long: the first one is good enough if it leaves room.
+        if best.per_entry is not None and files[best.bits].bytes < self.size:
+            return best
+        return self._fill(best, NEAR_BITS)
+
+    def _fill(self, packing: Packing, near: float) -> Packing:
+        """Make results that fill the size, each with the bits that promise most by then.
+
+        Args:
+            packing: A packing of which several bits were compared.
+            near: |log(bytes / size)| up to which a result is not made again.
+        """
+        files, made = self.found[_plain(packing)], set[_Values]()
         while True:
-            best = replace(best, bits=max(files, key=partial(self._hope, best, made)))
+            best = replace(packing, bits=max(files, key=partial(self._hope, packing, made)))
             before = files[best.bits]
-            if best.bits in made or not self._is_far(before, NEAR_BITS):
-                return best
-            # A result with a palette takes long: the first one is good enough if it leaves room.
-            if best.per_entry is not None and not made and before.bytes < self.size:
+            if best.bits in made or not self._is_far(before, near):
                 return best
             made.add(best.bits)
             [after] = self._alone(best, self._filling(before))
@@ -321,17 +331,15 @@ class _Search:
     def _bits_for(self, packing: Packing, best: Packing) -> _Values:
         """Return the bits to try a packing with: about those of the best.
 
-        A smaller palette takes too few bytes for fewer bits of its harmonics to save much.
+        A smaller palette takes too few bytes for fewer bits of its harmonics to save much. A larger
+        one leaves no room for as many as a small one could have.
         """
-        if (
-            packing.per_entry is None
-            or best.per_entry is None
-            or packing.per_entry <= best.per_entry
-        ):
+        if packing.per_entry == best.per_entry:
             return best.bits
         names = self.choices.bits
+        limited = max if (packing.per_entry or 0) > (best.per_entry or 0) else min
         return tuple(
-            (name, max(value, names[name].begin) if names[name].of_harmonics else value)
+            (name, limited(value, names[name].begin) if names[name].of_harmonics else value)
             for name, value in best.bits
         )
 
@@ -364,11 +372,10 @@ class _Search:
         if _plain(packing) not in self.found:
             best = self._make(packing, self._expected(packing), near=True)
             if self._is_far(found := self._best_file(packing)):
-                count = self._filling(found)
-                if len(self.found[_plain(packing)]) > 1:  # bits were compared: keep the choice
-                    self._keep(best, self._alone(best, count))
+                if len(self.found[_plain(packing)]) > 1:  # bits were compared
+                    self._fill(best, NEAR)
                 else:
-                    self._make(self.again(best), count)
+                    self._make(self.again(best), self._filling(found))
         return self._worth(self._best_file(packing))
 
     def _make(self, packing: Packing, count: int, *, near: bool = False) -> Packing:
