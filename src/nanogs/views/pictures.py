@@ -11,6 +11,7 @@ from nanogs.errors import OptionError
 from nanogs.formatting import counted, notes_on_views, undrawn
 from nanogs.io.atomic import atomic_write, check_writable
 from nanogs.io.folder import atomic_folder
+from nanogs.io.registry import PICTURES
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.protocol import BLACK
 from nanogs.ranges import one_or_several
@@ -22,13 +23,8 @@ from nanogs.splats import Splats
 from nanogs.views.cameras import check_cameras, frame_notes
 from nanogs.views.streamed import drawable, renderings
 
-_PHOTO = re.compile(r"\.(png|jpe?g|webp)$", re.IGNORECASE)
-_LOSSY = {"quality": 92}  # of 100
-# Suffixes of single pictures, with Pillow's name of the format and its options.
-_ENCODINGS: dict[str, tuple[str, dict[str, int]]] = {
-    ".png": ("PNG", {}), ".jpg": ("JPEG", _LOSSY), ".jpeg": ("JPEG", _LOSSY),
-    ".webp": ("WEBP", _LOSSY),
-}  # fmt: skip
+_PHOTO = re.compile(f"({'|'.join(map(re.escape, PICTURES))})$", re.IGNORECASE)
+_QUALITY = 92  # of JPEG and WebP files, of 100; PNG has none
 _LARGEST_WEBP = 16383  # pixels along a side
 
 
@@ -121,7 +117,7 @@ def _refuse_unstorable(suffix: str, target: Path, camera: Camera, *, transparent
     Raises:
         OptionError: It is to be transparent, or is too large.
     """
-    kind, _ = _ENCODINGS[suffix.lower()]
+    kind = _kind(suffix)
     png = target.with_suffix(".png")
     if transparent and kind == "JPEG":
         raise OptionError(f"{target}: JPEG has no alpha; name {png} or {png.with_suffix('.webp')}.")
@@ -173,7 +169,7 @@ def _write(
 
 def _places(target: Path, cameras: Sequence[Camera]) -> tuple[Path, list[str], str]:
     """Return the folder of the files, their names without suffix, and the suffix."""
-    if target.suffix.lower() not in _ENCODINGS:
+    if target.suffix.lower() not in PICTURES:
         return target, file_names(cameras), ".png"
     if len(cameras) > 1:
         raise OptionError(
@@ -223,6 +219,11 @@ def file_names(cameras: Sequence[Camera]) -> list[str]:
     return names
 
 
+def _kind(suffix: str) -> str:
+    """Return Pillow's name of the format of a suffix in `PICTURES`."""
+    return {".png": "PNG", ".webp": "WEBP"}.get(suffix.lower(), "JPEG")
+
+
 def _save(image: Array, path: Path, *, overwrite: bool) -> None:
     """Write a picture in the format that its name says.
 
@@ -231,6 +232,5 @@ def _save(image: Array, path: Path, *, overwrite: bool) -> None:
     """
     from PIL import Image
 
-    kind, options = _ENCODINGS[path.suffix.lower()]
     with atomic_write(path, overwrite=overwrite) as file:
-        Image.fromarray(image).save(file, format=kind, **options)
+        Image.fromarray(image).save(file, format=_kind(path.suffix), quality=_QUALITY)
