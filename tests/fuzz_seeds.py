@@ -494,6 +494,7 @@ def index_of_lcc(rng, files):
 FORMATS = {
     ".ply": (_plys, [damage_first_file, damage_first_file, damage_any_file]),
     ".compressed.ply": (_usual("a.compressed.ply"), [damage_first_file, damage_any_file]),
+    ".csv": (_usual("a.csv"), [damage_first_file, damage_any_file]),
     ".splat": (_usual("a.splat"), [damage_any_file]),
     ".npz": (_usual("a.npz"), [damage_any_file, inside_zip, inside_zip]),
     ".spz v1": (lambda: _spzs(1), [damage_any_file, inside_gzip, inside_gzip]),

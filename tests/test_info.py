@@ -148,12 +148,12 @@ def test_formats_that_refuse_a_model_do_not_hold_it_whole(tmp_path, small_blocks
     for suffix, sentences in losses.items():
         assert io.losses(model, f"a{suffix}") == sentences
         said = f"2 splats hold NaN or infinite values, {suffix} refuses the model."
-        assert (said in sentences) == (suffix not in (".ply", ".npz"))
-        if suffix not in (".ply", ".npz", "meta.json"):
+        assert (said in sentences) == (suffix not in (".ply", ".npz", ".csv"))
+        if suffix not in (".ply", ".npz", ".csv", "meta.json"):
             with pytest.raises(nanogs.NanogsError, match="2 splats hold NaN"):
                 io.save(model, tmp_path / f"b{suffix}")
     shown = run("info", tmp_path / "a.ply").stdout
-    assert re.search(r"fits whole into +\.ply, \.npz\n", shown), shown
+    assert re.search(r"fits whole into +\.ply, \.npz, \.csv\n", shown), shown
 
 
 def test_extra_columns_that_a_format_refuses_are_told_beforehand(tmp_path):
@@ -164,7 +164,7 @@ def test_extra_columns_that_a_format_refuses_are_told_beforehand(tmp_path):
     assert io.losses(model, "a.ply") == found[".ply"]
     assert found[".npz"] == io.losses(model, "a.npz") == ()
     shown = run("info", str(tmp_path / "a.npz")).stdout
-    assert re.search(r"fits whole into +\.npz\n", shown), shown
+    assert re.search(r"fits whole into +\.npz, \.csv\n", shown), shown
 
 
 def test_values_beyond_the_float32_range_are_counted_over_all_blocks(tmp_path, small_blocks):
@@ -194,7 +194,7 @@ def test_every_format_is_described(tmp_path, suffix):
     info = described(tmp_path, model, f"a{suffix}")
     assert info.file.splats == 70
     assert info.frame
-    kept = suffix not in (".splat", ".usda")
+    kept = suffix not in (".splat", ".usda", ".csv")
     assert info.file.render_mode is (RenderMode.MIP if kept else RenderMode.DEFAULT)
     assert any("render mode" in text for text in info.losses[".splat"]) is kept
 

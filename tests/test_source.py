@@ -19,7 +19,18 @@ from nanogs.source import Filtered, InMemory, Joined, Reduced, Tagged, Turned, b
 from nanogs.splats import ExtraElement
 from strategies import assert_same
 
-SUFFIXES = [".ply", ".compressed.ply", ".splat", ".npz", ".spz", ".rad", ".sog", ".glb", ".usda"]
+SUFFIXES = [
+    ".ply",
+    ".compressed.ply",
+    ".splat",
+    ".npz",
+    ".spz",
+    ".rad",
+    ".sog",
+    ".glb",
+    ".usda",
+    ".csv",
+]
 SPANS = [(0, 700), (0, 1), (699, 700), (13, 499), (0, 0), (700, 700)]
 KEPT = [filters.box((-1, -1, -0.5), (1, 1, 0.5)), filters.opaque_enough(0.3)]
 

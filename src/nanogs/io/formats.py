@@ -15,6 +15,7 @@ FAMILIES = (
     "rad",
     "lcc",
     "usda",
+    "csv",
     "html",
     "checkpoint",
 )

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nanogs._types import Bool
+from nanogs._types import Array, Bool
 from nanogs.errors import OutputError, UnstorableError
 from nanogs.findings import Finding, Names
 from nanogs.formatting import counted
@@ -145,13 +145,18 @@ def degree_left_out(suffix: str, max_degree: int) -> str:
 
 def rounded(splats: Splats, suffix: str) -> list[str]:
     """Return a sentence if centres are rounded, because they need double precision."""
-    if splats.means.dtype == np.float32:
-        return []
-    with np.errstate(over="ignore", invalid="ignore"):
-        same = splats.means.astype(np.float32) == splats.means
-    if (same | np.isnan(splats.means)).all():
+    if not is_rounded(splats.means):
         return []
     return [f"Centres in double precision are rounded, {suffix} holds single."]
+
+
+def is_rounded(values: Array) -> bool:
+    """Return whether single precision changes some of the numbers, of any type."""
+    if values.dtype == np.float32:
+        return False
+    with np.errstate(over="ignore", invalid="ignore"):
+        same = values.astype(np.float32).astype(values.dtype) == values
+    return not bool((same | (values != values)).all())
 
 
 def lost_mode(splats: Splats, suffix: str, *held: RenderMode) -> list[str]:

@@ -52,14 +52,14 @@ def is_line(text: str) -> bool:
     return "\n" not in text and not text.endswith("\r")
 
 
-def one_line(text: str) -> str:
-    """Return a comment that is one line.
+def one_line(text: str, what: str = "comment") -> str:
+    """Return a text that is one line; `what` it is stands in the message.
 
     Raises:
         OutputError: It holds a line break.
     """
     if not is_line(text):
-        raise OutputError(f"The comment {text[:40]!r} holds a line break; split it in two.")
+        raise OutputError(f"The {what} {text[:40]!r} holds a line break; split it in two.")
     return text
 
 

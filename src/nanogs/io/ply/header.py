@@ -72,12 +72,17 @@ class Header:
     comments: list[str] = field(default_factory=list)
     obj_info: list[str] = field(default_factory=list)
     size: int = 0
+    separator: bytes | None = None  # of the values of a text row; None for white space
     # Names of elements, and with them of their properties: a search for each line would be slow.
     _names: set[tuple[str, ...]] = field(default_factory=set, repr=False)
 
     def element(self, name: str) -> Element | None:
         """Return the element of that name, or None."""
         return next((element for element in self.elements if element.name == name), None)
+
+    def place(self, element: Element) -> str:
+        """Return an element as messages name it; the rows of a `.csv` are the only ones there."""
+        return "the table" if self.separator else f"element {element.name!r}"
 
     def is_new(self, *names: str) -> bool:
         """Whether no element, or property of an element, has this name; it counts as taken then."""

@@ -39,7 +39,7 @@ def open_ply(path: Path) -> FileSource:
     header = _checked(path)
     if compressed_read.is_compressed(header):
         return compressed_read.open_compressed(header)
-    return (_Text if header.encoding == "ascii" else _Binary)(header)
+    return (TextPly if header.encoding == "ascii" else _Binary)(header)
 
 
 class _Ply(FileSource):
@@ -101,7 +101,7 @@ class _Binary(_Ply):
         return tuple(ExtraElement(e.name, read_element(self._header, e)) for e in self._kept)
 
 
-class _Text(_Ply, Packed):
+class TextPly(_Ply, Packed):
     """An ASCII PLY file, whose rows are converted to binary ones by `unpack`."""
 
     def __init__(self, header: Header) -> None:
@@ -183,7 +183,7 @@ class _Vertex:
         element = header.element("vertex")
         assert element is not None  # noqa: S101 - `_checked` made sure
         self.header, self.element = header, element
-        where = f"{header.path}: element 'vertex'"
+        where = f"{header.path}: {header.place(element)}"
         self.scales = columns.scale_names(element.names, where)
         self.flat = len(self.scales) < 3
         self.smoothed = columns.SMOOTHING in element.names and not self.flat

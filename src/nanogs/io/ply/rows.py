@@ -148,7 +148,7 @@ def _ascii_blocks(header: Header) -> Iterator[Block]:
         file.seek(header.size)
         for element in header.elements:
             for span in slices(element.count, BLOCK_ROWS):
-                yield Block(element, span, _ascii_rows(header.path, file, element, span))
+                yield Block(element, span, _ascii_rows(header, file, element, span))
         while rest := file.read(1 << 20):
             if rest.strip():
                 raise FormatError(
@@ -157,20 +157,21 @@ def _ascii_blocks(header: Header) -> Iterator[Block]:
                 )
 
 
-def _ascii_rows(path: Path, file: BinaryIO, element: Element, span: slice) -> Array:
+def _ascii_rows(header: Header, file: BinaryIO, element: Element, span: slice) -> Array:
     width = len(element.properties)
     limit = width * _MAX_TOKEN + 2
-    tokens = [file.readline(limit).split() for _ in range(span.stop - span.start)]
+    tokens = [file.readline(limit).split(header.separator) for _ in range(span.stop - span.start)]
     for i, row in enumerate(tokens):
         if len(row) != width:
             raise FormatError(
-                f"{path}: row {span.start + i + 1} of {element.count} of element"
-                f" {element.name!r} has {len(row)} values instead of {width}; {_AGAIN}"
+                f"{header.path}: row {span.start + i + 1} of {element.count} of"
+                f" {header.place(element)} has {counted(len(row), 'value')} instead of {width};"
+                f" {_AGAIN}"
             )
-    return _structured(path, element, span, _numbers(path, element, span, tokens))
+    return _structured(header, element, span, _numbers(header, element, span, tokens))
 
 
-def _numbers(path: Path, element: Element, span: slice, tokens: list[list[bytes]]) -> F64:
+def _numbers(header: Header, element: Element, span: slice, tokens: list[list[bytes]]) -> F64:
     """Convert the tokens to (R, P) float64, which holds every PLY type exactly."""
     try:
         return np.array([[_number(token) for token in row] for row in tokens], np.float64)
@@ -181,7 +182,7 @@ def _numbers(path: Path, element: Element, span: slice, tokens: list[list[bytes]
             try:
                 _number(token)
             except ValueError:
-                raise _bad_value(path, element, span.start + i, name, token) from None
+                raise _bad_value(header, element, span.start + i, name, token) from None
     raise AssertionError("unreachable: a token failed above and passed here")
 
 
@@ -193,14 +194,14 @@ def _number(token: bytes) -> float:
     return value
 
 
-def _structured(path: Path, element: Element, span: slice, numbers: F64) -> Array:
+def _structured(header: Header, element: Element, span: slice, numbers: F64) -> Array:
     out = np.empty(len(numbers), element.dtype())
     for column, prop in zip(numbers.T, element.properties, strict=True):
         good = _storable(column, np.dtype(prop.code))
         if not good.all():
             row = int(np.argmin(good))
             token = str(column[row]).encode()
-            raise _bad_value(path, element, span.start + row, prop.name, token)
+            raise _bad_value(header, element, span.start + row, prop.name, token)
         out[prop.name] = column
     return out
 
@@ -215,10 +216,10 @@ def _storable(column: F64, kind: "np.dtype[Any]") -> Bool:
         return np.asarray(np.isfinite(column.astype(kind)) | ~np.isfinite(column))
 
 
-def _bad_value(path: Path, element: Element, row: int, name: str, token: bytes) -> FormatError:
+def _bad_value(header: Header, element: Element, row: int, name: str, token: bytes) -> FormatError:
     kind = next(prop.code for prop in element.properties if prop.name == name)
-    shown = token[:40].decode("ascii", "replace")
+    shown = token.strip()[:40].decode("ascii", "replace")
     return FormatError(
-        f"{path}: row {row + 1} of {element.count} of element {element.name!r}: {shown!r} is no"
-        f" value of type {kind} for {name!r}; correct it or export the file again."
+        f"{header.path}: row {row + 1} of {element.count} of {header.place(element)}: {shown!r} is"
+        f" no value of type {kind} for {name!r}; correct it or export the file again."
     )

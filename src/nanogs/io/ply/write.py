@@ -67,7 +67,7 @@ def _row_bytes(table: Mapping[str, Array]) -> int:
 
 def _tables(splats: Splats) -> dict[str, dict[str, Array]]:
     """Return the columns of every element by its name, `vertex` first."""
-    tables = {"vertex": _vertex(splats)}
+    tables = {"vertex": vertex_columns(splats)}
     for element in splats.elements:
         if element.name in tables:
             raise OutputError(f"Two elements are called {element.name!r}; rename one of them.")
@@ -76,8 +76,12 @@ def _tables(splats: Splats) -> dict[str, dict[str, Array]]:
     return tables
 
 
-def _vertex(splats: Splats) -> dict[str, Array]:
-    """Return the columns of the vertex rows by name, in the order they are written."""
+def vertex_columns(splats: Splats) -> dict[str, Array]:
+    """Return the columns of the vertex rows by name, each (N,), in the order they are written.
+
+    Raises:
+        OutputError: An extra column has a splat's own name.
+    """
     return {
         name: column
         for names, array in _arrays(splats)
@@ -87,7 +91,7 @@ def _vertex(splats: Splats) -> dict[str, Array]:
 
 def _arrays(splats: Splats) -> list[tuple[Sequence[str], Array]]:
     """Return the arrays of the vertex rows in writing order, with the names of their columns."""
-    _refuse_own_names(splats.extras)
+    refuse_own_names(splats.extras)
     extras = dict(splats.extras)
     normals = [((name,), extras.pop(name)) for name in columns.NORMALS if name in extras]
     return [
@@ -156,13 +160,21 @@ def check_columns(layout: Layout) -> None:
     Raises:
         OutputError: There is one.
     """
-    _refuse_own_names(name for name, _ in layout.extras)
+    refuse_own_names(name for name, _ in layout.extras)
     for name, code in layout.extras:
         _type(name, np.dtype(code), 1)
         _word(name)
 
 
-def _refuse_own_names(extras: Iterable[str]) -> None:
+def refuse_own_names(extras: Iterable[str]) -> None:
+    """Refuse extra columns with the name of one that every model has.
+
+    Args:
+        extras: The names of the extra columns.
+
+    Raises:
+        OutputError: There is one.
+    """
     if clash := [name for name in extras if columns.is_known(name)]:
         raise OutputError(f"The extra column {clash[0]!r} has a splat's own name; rename it.")
 
