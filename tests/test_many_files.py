@@ -293,6 +293,23 @@ def test_parts_of_a_scene_can_be_given_by_a_folder_or_pattern(
     assert len(nanogs.load(whole)) == 130
 
 
+@pytest.mark.parametrize("command", ["simplify", "lod"])
+def test_a_part_that_is_named_twice_is_taken_once_with_a_note(folder, tmp_path, command):
+    same = tmp_path / "in" / ".." / "in" / "a.ply"
+    output = {"simplify": ("o.ply", "-r", "0.5"), "lod": ("levels", "--levels", "0.5")}[command]
+    result = run(
+        command, folder / "a.ply", folder / "b.spz", folder / "a.ply", same, tmp_path / output[0],
+        *output[1:], "--join", "--preset", "fast", "--json",
+    )  # fmt: skip
+    report = json.loads(result.stdout)
+    noted = [note for note in report["notes"] if note.endswith("and is taken once.")]
+    assert noted == [
+        f"{path} was given more than once and is taken once." for path in (folder / "a.ply", same)
+    ]
+    levels = report.get("levels")
+    assert (levels[0]["count"] if levels else report["achieved_count"]) == 65
+
+
 def test_join_makes_one_result_and_takes_no_folder_for_several(folder, tmp_path):
     options = ("--join", "--preset", "fast", "-r", "0.5")
     result = run("simplify", folder, folder / "garden", "--out-dir", tmp_path / "x", *options)

@@ -241,23 +241,24 @@ def write_levels_of_files(
     """
     refuse_device(request.device, request.preset, request.parameters, request.goal)
     plan = plan_files(request)
-    options, unstated = checked_options(request, divided=plan.divided)
+    options, notes = checked_options(request, divided=plan.divided)
+    notes = (*notes, *request.notes)
     if plan.divided:
         request.refuse_device_in_blocks()
-        unstated = (*unstated, *device_notes(request.device, CPU))
+        notes = (*notes, *device_notes(request.device, CPU))
     # If levels are turned, the sink already has the options that state the frame they get.
     if isinstance(sink, LevelsFolder) and sink.block_layout is None and request.frame is None:
         sink = replace(sink, format_options=options)
     if plan.divided:
         with use_threads(request.threads):  # limits the threads of planning too
-            return _in_blocks(request, plan, sink, on_step, sky, unstated)
+            return _in_blocks(request, plan, sink, on_step, sky, notes)
     sink.check()
     import_stages(request.parameters)
     stages = _stages(request, plan.splats)
     tracker = Tracker(on_step, [*reading_stages(request.edits, plan.splats), *stages])
     with use_threads(request.threads):  # limits the threads of reading and writing too
         model = read_changed(request.inputs, request.edits, tracker, StageClock())
-        model = model._replace(notes=(*model.notes, *unstated))
+        model = model._replace(notes=(*model.notes, *notes))
         manifest, reports = _in_memory(request, model, sink, tracker.passing(), sky)
     tracker.finish()
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)

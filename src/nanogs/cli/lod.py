@@ -133,14 +133,14 @@ def lod(
 
     # All checks are made before minutes of computing.
     method.check(paths)
-    parts, target = _parts(paths, join=method.blocks.join)
+    parts, target, notes = _parts(paths, join=method.blocks.join)
     refuse_address(target, "levels are written to a folder or file: name one")
     output = output_of(target, level_format)
     # Default levels follow from the model's count, which for stdin is known only once it is read.
     ratios = (1.0,) if levels is None else checked_ratios(parsing.parse_ratios(levels))
     arguments = lod_run.Arguments(
         request=plan.request_of(
-            method, Goal(ratio=ratios[0]), inputs=tuple(parts), output=output.folder,
+            method, Goal(ratio=ratios[0]), inputs=parts, notes=notes, output=output.folder,
             overwrite=overwrite, ratios=ratios, device=device, level_suffix=output.suffix,
             block_layout=block_layout_of(
                 output.layout, chunk, chunk_min, plain=plain, place=placing.place
@@ -159,8 +159,8 @@ def lod(
         exit_if_short(run.report)
 
 
-def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
-    """Split the paths into the model's files and the output.
+def _parts(paths: Sequence[Path], *, join: bool) -> tuple[tuple[Path, ...], Path, tuple[str, ...]]:
+    """Split the paths into the model's files and the output; the third are notes on the files.
 
     Raises:
         FormatError: A folder holds no model, or several without --join.
@@ -168,7 +168,7 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
             nothing matches a pattern.
     """
     from nanogs.cli.many import refuse_units
-    from nanogs.io.collect import collect, model_in
+    from nanogs.io.collect import collect_parts, model_in
 
     refuse_units(paths)
     if len(paths) == 1:
@@ -184,7 +184,8 @@ def _parts(paths: Sequence[Path], *, join: bool) -> tuple[list[Path], Path]:
             " file."
         )
     *models, target = paths
-    return collect(models) if join else [model_in(models[0])], target
+    parts, notes = collect_parts(models) if join else ((model_in(models[0]),), ())
+    return parts, target, notes
 
 
 def exit_if_short(manifest: "Manifest") -> None:

@@ -76,7 +76,7 @@ def simplify(
     with without_gc():
         from nanogs.cli import many, plan, simplify_run
         from nanogs.cli.simplify_report import print_report
-        from nanogs.io.collect import collect
+        from nanogs.io.collect import collect_parts
         from nanogs.pipeline.options.target import Goal
 
     # All checks are made here, before minutes of computing.
@@ -85,13 +85,13 @@ def simplify(
             "--join cannot be combined with --out-dir, because it makes one result of all inputs;"
             " name OUT after them."
         )
-    joined = tuple(collect(paths[:-1])) if method.blocks.join else ()
+    joined, notes = collect_parts(paths[:-1]) if method.blocks.join else ((), ())
     pairs = many.plan_pairs([joined[0], paths[-1]] if joined else paths, files)
     method.check(paths)
     arguments = simplify_run.Arguments(
         request=plan.request_of(
             method, Goal(ratio, count, size, psnr, draw_cost), overwrite=overwrite,
-            format_options=of_format, device=device,
+            format_options=of_format, device=device, notes=notes,
         ),
         method=method,
         joined=joined,

@@ -1,6 +1,7 @@
 """Resolving the paths, folders and patterns that a user gives to input and output files."""
 
 import glob
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,8 +36,31 @@ def collect(paths: Iterable[Path]) -> list[Path]:
         FormatError: A folder holds no model.
         OptionError: Nothing matches a pattern.
     """
-    found = [file for path in paths for match in _matches(path) for file in _files(match)]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(_named(paths)))
+
+
+def collect_parts(paths: Iterable[Path]) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Expand paths as `collect` does to the parts of one scene, each file under any name once.
+
+    Returns:
+        The files, and a note on each that was named again.
+
+    Raises:
+        FormatError: A folder holds no model.
+        OptionError: Nothing matches a pattern.
+    """
+    parts: dict[str, Path] = {}
+    notes: list[str] = []
+    for file in _named(paths):
+        own = str(file) if isinstance(file, Address) else os.path.realpath(file)
+        if own in parts:
+            notes.append(f"{file} was given more than once and is taken once.")
+        parts.setdefault(own, file)
+    return tuple(parts.values()), tuple(dict.fromkeys(notes))
+
+
+def _named(paths: Iterable[Path]) -> list[Path]:
+    return [file for path in paths for match in _matches(path) for file in _files(match)]
 
 
 def model_in(path: Path) -> Path:

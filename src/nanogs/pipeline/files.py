@@ -186,7 +186,7 @@ def simplify_files(request: Request, on_step: Progress | None) -> SimplifyReport
     options, notes = checked_options(request, divided=plan.divided)
     request = replace(request, format_options=options)
     request, left_out = limit_degree(request, plan.sh_degree)
-    notes = (*notes, *left_out)
+    notes = (*notes, *left_out, *request.notes)
     if plan.divided:
         request.refuse_device_in_blocks()
         notes = (*notes, *device_notes(request.device, CPU))

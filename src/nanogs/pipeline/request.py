@@ -75,6 +75,7 @@ class Request:
         block_layout: How levels are divided or linked, or None for a file each.
         level_suffix: Format of the files of levels that are not divided or linked.
         environment: Text that identifies the environment written beside levels; empty for none.
+        notes: Notes on the request itself, for the report.
     """
 
     goal: Goal
@@ -106,6 +107,7 @@ class Request:
     block_layout: Chunked | Linked | None = None
     level_suffix: str = ".ply"
     environment: str = ""
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse values that are not valid, before anything is read."""
