@@ -305,13 +305,13 @@ def test_view_shows_the_finest_level_that_fits_a_page(folder, tmp_path, monkeypa
     page = tmp_path / "page.html"
     text = page.read_text(encoding="utf-8")
     assert f'"{bytes_text(shown().input_bytes)}"' in text
-    assert "of 0 to 3" not in text
+    assert "(0 to 3)" not in text
     shown(2)
-    assert '"level 2 of 0 to 3"' in page.read_text(encoding="utf-8")
+    assert '"level 2 (0 to 3)"' in page.read_text(encoding="utf-8")
     monkeypatch.setattr("nanogs.scoring.viewing.PAGE_SPLATS", 150)
     assert shown().splats == 100
     assert any("`level=0`" in note for note in shown().notes)
-    assert '"level 1 of 0 to 3"' in page.read_text(encoding="utf-8")
+    assert '"level 1 (0 to 3)"' in page.read_text(encoding="utf-8")
     assert not any("`level" in note for note in shown(1).notes)
     monkeypatch.setattr("nanogs.scoring.viewing.PAGE_SPLATS", 1)
     assert shown().splats == 4
@@ -328,13 +328,13 @@ def test_view_says_which_level_of_a_stream_its_psnr_is_against(folder, tmp_path)
             [(path.stem, path) for path in models], page, level=level, views=1, width=32, height=32,
             overwrite=True,
         )  # fmt: skip
-        return "against level 1 of 0 to 3" in page.read_text(encoding="utf-8"), report.notes
+        return "against level 1 (0 to 3)" in page.read_text(encoding="utf-8"), report.notes
 
     assert seen(0) == (False, ())
     in_page, notes = seen(1)
     assert in_page
     assert [note.split(";")[0] for note in notes] == [
-        "The PSNR is against level 1 of 0 to 3 of lod-meta"
+        "The PSNR is against level 1 (0 to 3) of lod-meta"
     ]
     models.reverse()
     assert seen(1) == (False, ())

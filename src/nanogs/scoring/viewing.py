@@ -229,7 +229,7 @@ def _affordable(levels: Sequence[int]) -> int:
 def _level_text(levels: Sequence[int], level: int | None) -> str:
     """Name the level that is shown; empty for the finest, and for a model without levels."""
     number = _number(levels, level)
-    return f"level {number} of 0 to {len(levels) - 1}" if number else ""
+    return f"level {number} (0 to {len(levels) - 1})" if number else ""
 
 
 def _against(name: str, coarse: str) -> tuple[str, ...]:
