@@ -79,6 +79,10 @@ def test_view_options_beside_a_camera_file_are_refused(folder, arguments, option
             "--background cannot be combined with --transparent",
         ),
         (
+            ["render", "a.ply", "out", "--background", "transparent"],
+            "--background is black, white or #rrggbb; for no background give --transparent in its",
+        ),
+        (
             ["compare", "a.ply", "a.ply", "--no-interactive"],
             "--no-interactive works only with --report",
         ),

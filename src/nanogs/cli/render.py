@@ -67,6 +67,11 @@ def render(
             "--background cannot be combined with --transparent, which keeps alpha in place of a"
             " background; leave one of them out."
         )
+    if background == "transparent":
+        raise OptionError(
+            "--background is black, white or #rrggbb; for no background give --transparent in its"
+            " place."
+        )
     # Straight alpha needs it black.
     color = parsing.parse_background("black" if background is None else background)
     from nanogs.card.device import device_notes, use_device
