@@ -340,12 +340,27 @@ def test_view_says_which_level_of_a_stream_its_psnr_is_against(folder, tmp_path)
     assert seen(1) == (False, ())
 
 
-@pytest.mark.parametrize("command", ["convert", "view"])
+def test_info_and_render_read_the_level_that_is_named(folder, tmp_path):
+    stream = folder / "stream" / "lod-meta.json"
+    report = json.loads(run("info", stream, "--level", "2", "--json").stdout)
+    assert (report["splats"], report["levels"]) == (40, [200, 100, 40, 4])
+    assert "; the other rows describe level 2\n" in run("info", stream, "--level", "2").stdout
+    nanogs.convert(stream, tmp_path / "level.ply", level=2)
+    for model, name in ((stream, "a.png"), (tmp_path / "level.ply", "b.png")):
+        level = ("--level", "2") if model == stream else ()
+        assert run("render", model, tmp_path / name, "--pixels", "32", *level).returncode == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@pytest.mark.parametrize("command", ["convert", "view", "info", "render"])
 def test_a_level_of_a_folder_of_files_is_refused_with_the_name_of_its_file(
     folder, tmp_path, command
 ):
     require_bundle()
-    output = {"convert": (tmp_path / "o.ply",), "view": ("-o", tmp_path / "o.html")}[command]
+    output = {
+        "convert": (tmp_path / "o.ply",), "view": ("-o", tmp_path / "o.html"), "info": (),
+        "render": (tmp_path / "o.png",),
+    }[command]  # fmt: skip
     levels = folder / "levels"
     for given in (levels, levels / "level_1.ply"):
         result = run(command, given, *output, "--level", "2")
@@ -360,7 +375,7 @@ def test_a_level_of_a_folder_of_files_is_refused_with_the_name_of_its_file(
     )
 
 
-@pytest.mark.parametrize("command", ["convert", "view"])
+@pytest.mark.parametrize("command", ["convert", "view", "info", "render"])
 def test_the_help_of_level_names_the_formats_that_have_levels(command):
     text = " ".join(run(command, "--help").stdout.replace("│", " ").split())
     for known in registry.formats():

@@ -57,7 +57,7 @@ class ModelInfo:
             there are none.
         notes: Changes and losses of reading, one sentence each.
         levels: Number of splats of each level of detail of a streamed model or a folder of levels,
-            the finest first, which all other fields describe; empty for other models.
+            the finest first; empty for other models. All other fields describe one of them.
         environment: Number of splats of a stream's environment (its sky), which are part of every
             level.
         losses: For each format that can be written, by suffix: the parts of the model that it
@@ -100,27 +100,34 @@ class ModelInfo:
 
 
 def info(
-    path: str | PathLike[str], *, columns: bool = False, render_mode: str | None = None
+    path: str | PathLike[str],
+    *,
+    level: int = 0,
+    columns: bool = False,
+    render_mode: str | None = None,
 ) -> ModelInfo:
     """Describe a model, which is read block by block; a large one twice, for exact percentiles.
 
     Args:
         path: The file, its URL, or the folder of a model.
+        level: Level of detail to describe of a streamed model; 0 is the finest.
         columns: Whether to compute statistics of each column too.
         render_mode: "default" or "mip" in place of the render mode that the file names; see `open`.
 
     Raises:
-        NanogsError: The file is missing, damaged or of no known format, it cannot have that render
-            mode, or reading it takes more memory than is free.
+        NanogsError: The file is missing, damaged or of no known format, it has no such level,
+            cannot have that render mode, or reading it takes more memory than is free.
     """
     given = as_path(path)
     with local_copies([given]) as ([file], _):
-        return _described(model_in(file), given, render_mode, columns=columns)
+        return _described(model_in(file), given, level, render_mode, columns=columns)
 
 
-def _described(path: Path, given: Path, render_mode: str | None, *, columns: bool) -> ModelInfo:
+def _described(
+    path: Path, given: Path, level: int, render_mode: str | None, *, columns: bool
+) -> ModelInfo:
     """Describe a file; `given` is the path that the caller named: the file or its folder."""
-    with open_model(path, render_mode=render_mode) as source:
+    with open_model(path, level=level, render_mode=render_mode) as source:
         file, levels, frame = source.info, source.levels, source.frame
         environment = source.environment
         refuse_too_large(

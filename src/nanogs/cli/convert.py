@@ -29,13 +29,7 @@ _vector = partial(_transform, parser=parsing.parse_vector, metavar="X,Y,Z")
 def convert(
     *,
     paths: file_options.Paths,
-    level: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help=f"Level of detail to read of {options.OF_LEVELS}; 0 is the finest.",
-        ),
-    ] = 0,
+    level: options.Level = 0,
     turn: Annotated[
         bool,
         typer.Option(

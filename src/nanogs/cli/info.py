@@ -39,6 +39,7 @@ def info(
     columns: Annotated[
         bool, typer.Option("--columns", help="Also print statistics of each column.")
     ] = False,
+    level: options.Level = 0,
     read_as: file_options.From = None,
     render_mode: options.AsMode = None,
     packed: options.Packed = None,
@@ -61,12 +62,12 @@ def info(
     with Streams(read_as).received(source, quiet=json) as path:
         cost, looked = None, None
         if formats or looks:
-            with open_model(model_in(path), render_mode=render_mode) as opened:
+            with open_model(model_in(path), level=level, render_mode=render_mode) as opened:
                 if formats:
                     cost = _packing_cost(opened, formats, of_format, looking, quiet=json)
                 if looks:
                     looked = _looked(opened, looking, quiet=json)
-        model = _described(path, source, render_mode, columns=columns)
+        model = _described(path, source, level, render_mode, columns=columns)
     notes = [*model.notes, *(looked.notes if looked else ())]
     notes += [f"{model.file.path}: {note}" for note in cost.notes] if cost else []
     if json:
@@ -79,7 +80,7 @@ def info(
         return
     for note in notes:
         warn(note)
-    rows = _rows(model, looked is not None) | (_packed_rows(cost.files) if cost else {})
+    rows = _rows(model, level, looked is not None) | (_packed_rows(cost.files) if cost else {})
     show(out, key_value_table(rows | (_looked_rows(looked) if looked else {})))
     if model.columns:
         entries = [replace(each, column=printable(each.column)) for each in model.columns]
@@ -129,18 +130,20 @@ def _packed_rows(files: Sequence["PackedFile"]) -> dict[str, str]:
     }
 
 
-def _described(path: Path, source: Path, mode: str | None, *, columns: bool) -> "ModelInfo":
+def _described(
+    path: Path, source: Path, level: int, mode: str | None, *, columns: bool
+) -> "ModelInfo":
     """Describe a file; one from stdin is named "stdin" instead of its temporary file."""
     from nanogs.cli.blocks import DASH
     from nanogs.model_info import info as describe
 
-    model = describe(path, columns=columns, render_mode=mode)
+    model = describe(path, level=level, columns=columns, render_mode=mode)
     if source != DASH:
         return model
     return replace(model, file=replace(model.file, path=Path("stdin")))
 
 
-def _rows(model: "ModelInfo", looked: bool) -> dict[str, str]:
+def _rows(model: "ModelInfo", level: int, looked: bool) -> dict[str, str]:
     from nanogs.io.texts import printable
 
     file = model.file
@@ -150,7 +153,7 @@ def _rows(model: "ModelInfo", looked: bool) -> dict[str, str]:
         "stored": f"{file.encoding}; columns: "
         + ", ".join(f"{count} {kind}" for kind, count in kinds.items()),
         "splats": f"{file.splats:,}",
-        **_levels(model.levels),
+        **_levels(model.levels, level),
         **_environment(model.environment),
         "SH degree": str(file.sh_degree),
         "render mode": _mode_text(file) + ("" if looked else _HINT),
@@ -180,12 +183,11 @@ def _mode_text(file: "FileInfo") -> str:
     return f"{_MODES[file.render_mode]}, {f'by {file.render_tag}' if file.render_tag else 'no tag'}"
 
 
-def _levels(counts: Sequence[int]) -> dict[str, str]:
-    """Return the row of a stream's levels; the other rows describe the finest level."""
-    text = ", ".join(f"{level}: {count:,}" for level, count in enumerate(counts))
-    return (
-        {"levels": f"{text} splats; the other rows describe level 0, the finest"} if counts else {}
-    )
+def _levels(counts: Sequence[int], level: int) -> dict[str, str]:
+    """Return the row of a stream's levels; the other rows describe one of them."""
+    text = ", ".join(f"{number}: {count:,}" for number, count in enumerate(counts))
+    which = f"level {level}" if level else "level 0, the finest"
+    return {"levels": f"{text} splats; the other rows describe {which}"} if counts else {}
 
 
 def _environment(splats: int) -> dict[str, str]:

@@ -177,6 +177,9 @@ Packed = Annotated[
         show_default=False,
     ),
 ]
+Level = Annotated[
+    int, typer.Option(min=0, help=f"Level of detail to read of {OF_LEVELS}; 0 is the finest.")
+]
 AsMode = Annotated[
     Literal["default", "mip"] | None,
     typer.Option(

@@ -46,6 +46,7 @@ def render(
     depth: Annotated[
         bool, typer.Option(help="Also write depth as 16-bit PNG, near is bright.")
     ] = False,
+    level: options.Level = 0,
     render_mode: options.AsMode = None,
     device: options.Device = "cpu",
     run: options.Running,
@@ -89,7 +90,7 @@ def render(
     with (
         use_device(device) as used,
         fetched([source], quiet=run.hushed) as [file],
-        open_model(file, render_mode=render_mode) as opened,
+        open_model(file, level=level, render_mode=render_mode) as opened,
     ):
         remedy = rendering_remedy(wanted)
         room = room_for_pictures(opened, largest, 0, run.max_memory, remedy=remedy)
