@@ -38,7 +38,7 @@ from nanogs.pipeline.in_memory import import_stages
 from nanogs.pipeline.levels import checked_ratios, requested_levels
 from nanogs.pipeline.options.target import Goal, target_count
 from nanogs.pipeline.reading import ChangedModel, changed, read_changed, reading_stages
-from nanogs.pipeline.request import Plan, Request, plan_files
+from nanogs.pipeline.request import Request, RequestPlan, plan_files
 from nanogs.place import Place
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
@@ -266,7 +266,7 @@ def write_levels_of_files(
 
 def _in_blocks(
     request: Request,
-    plan: Plan,
+    plan: RequestPlan,
     sink: LevelsSink,
     on_step: Progress | None,
     sky: EnvironmentRequest,

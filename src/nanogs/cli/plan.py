@@ -37,7 +37,7 @@ _LIBRARIES = f"{bytes_text(LIBRARIES)} for Python and its libraries"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class RunPlan:
     """A planned run.
 
     Attributes:
@@ -115,7 +115,7 @@ class Plan:
         """A clause on printed counts, which may follow from headers alone; empty if they do not."""
         return "" if self.read else ", if none holds a NaN or an infinite value"
 
-    def shown(self) -> "Plan":
+    def shown(self) -> "RunPlan":
         """Complete the plan for printing by reading the splats: count after filters, and blocks.
 
         Raises:
@@ -229,7 +229,7 @@ def plan_run(
     method: Method,
     *,
     piped: bool = False,
-) -> Plan:
+) -> RunPlan:
     """Plan a run, and decide whether it is divided into blocks; only headers are read.
 
     Args:
@@ -242,7 +242,7 @@ def plan_run(
     """
     info, goal = inspect_parts(request.inputs), request.goal
     count, free = goal.known_count(info.splats), allowed_memory(request.max_memory)
-    plan = Plan(
+    plan = RunPlan(
         request=request, method=method, info=info, read_count=info.splats, count=count, free=free
     )  # fmt: skip
     if plan_files(request).divided:
@@ -251,7 +251,7 @@ def plan_run(
     return plan
 
 
-def execute(plan: Plan, do: Callable[[Request], T]) -> T:
+def execute(plan: RunPlan, do: Callable[[Request], T]) -> T:
     """Execute a plan by calling `do` with its request; blocks are done by the plan's executor."""
     request = plan.request
     if not plan.divided:
@@ -272,7 +272,7 @@ def _preset_of_kernels(request: Request) -> str:
     return "paper" if isinstance(request.parameters, PaperParameters) else "fast"
 
 
-def show_plan(plan: Plan, text: str) -> None:
+def show_plan(plan: RunPlan, text: str) -> None:
     """Print a plan on stderr; `text` describes the output."""
     info, memory, splats = plan.info, plan.memory(), counted(plan.read_count, "splat")
     if info.splats < plan.read_count:

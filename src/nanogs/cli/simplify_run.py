@@ -8,7 +8,7 @@ from nanogs.cli.console import warn
 from nanogs.cli.framing import frames_of
 from nanogs.cli.many import Run
 from nanogs.cli.method import Method
-from nanogs.cli.plan import Plan, execute, plan_run, show_plan
+from nanogs.cli.plan import RunPlan, execute, plan_run, show_plan
 from nanogs.formatting import counted
 from nanogs.io import bytes_on_disk, check_writable, registry
 from nanogs.io.collect import Pair
@@ -54,7 +54,7 @@ def run_one(arguments: Arguments, pair: Pair, progress: Progress) -> Run:
     return _made(plan, progress)
 
 
-def _plan(arguments: Arguments, pair: Pair) -> Plan:
+def _plan(arguments: Arguments, pair: Pair) -> RunPlan:
     """Check the files and the request, and plan the run."""
     method, target = arguments.method, pair.target
     inputs = arguments.joined or (pair.source,)
@@ -69,7 +69,7 @@ def _plan(arguments: Arguments, pair: Pair) -> Plan:
     return plan_run(request, method, piped=arguments.piped)
 
 
-def _made(plan: Plan, progress: Progress) -> Run:
+def _made(plan: RunPlan, progress: Progress) -> Run:
     """Simplify a file, and return the report with names and sizes of the files."""
     request, report = plan.request, execute(plan, lambda request: simplify_files(request, progress))
     if plan.method.hushed and not plan.divided:
@@ -85,7 +85,7 @@ def _made(plan: Plan, progress: Progress) -> Run:
 
 def print_plan(run: Run) -> None:
     """Print the plan of a dry run on stderr."""
-    plan: Plan = run.report
+    plan: RunPlan = run.report
     if plan.count is None and plan.request.goal.size is not None:
         text = (
             f"as many splats as fit into {plan.request.goal.size:,} B, found by writing some files"

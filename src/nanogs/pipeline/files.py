@@ -30,7 +30,7 @@ from nanogs.pipeline.in_memory import NanPolicy, import_stages
 from nanogs.pipeline.options.presets import DEFAULT_PRESET, parameters, renders
 from nanogs.pipeline.options.target import Goal, chooses_packing
 from nanogs.pipeline.reading import open_parts, read_changed, reading_stages
-from nanogs.pipeline.request import Plan, Request, plan_files
+from nanogs.pipeline.request import Request, RequestPlan, plan_files
 from nanogs.progress import Progress, Stage, Tracker
 from nanogs.quantities import as_bytes
 from nanogs.report import SimplifyReport
@@ -253,7 +253,7 @@ def checked_options(
         return options, (*guessed, *notes)
 
 
-def _in_blocks(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:
+def _in_blocks(request: Request, plan: RequestPlan, on_step: Progress | None) -> SimplifyReport:
     """Simplify and write, block by block."""
     sink = OneFile(request.output, request.overwrite, request.format_options)
     with use_threads(request.threads):  # limits the threads of planning, too
@@ -266,7 +266,7 @@ def _in_blocks(request: Request, plan: Plan, on_step: Progress | None) -> Simpli
 
 
 def _with_size_ending(
-    request: Request, plan: Plan, size: int, report: SimplifyReport
+    request: Request, plan: RequestPlan, size: int, report: SimplifyReport
 ) -> SimplifyReport:
     """Add why the count is the largest that fits, for formats of known file sizes.
 
@@ -288,7 +288,7 @@ def _with_size_ending(
     )
 
 
-def _in_memory(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:
+def _in_memory(request: Request, plan: RequestPlan, on_step: Progress | None) -> SimplifyReport:
     """Read, simplify and write; the report has the seconds of the whole call."""
     start = time.perf_counter()
     check_writable(
@@ -300,7 +300,9 @@ def _in_memory(request: Request, plan: Plan, on_step: Progress | None) -> Simpli
     return replace(report, total_seconds=time.perf_counter() - start)
 
 
-def _from_file_to_file(request: Request, plan: Plan, on_step: Progress | None) -> SimplifyReport:
+def _from_file_to_file(
+    request: Request, plan: RequestPlan, on_step: Progress | None
+) -> SimplifyReport:
     """Read the model, simplify it, write the result and measure its file."""
     clock, goal = StageClock(), request.goal
     output, options = request.output, request.format_options
@@ -360,7 +362,7 @@ def _with_scores(
     return report
 
 
-def _stages(request: Request, plan: Plan) -> list[Stage]:
+def _stages(request: Request, plan: RequestPlan) -> list[Stage]:
     """List the stages of the call: reading, filters, those of the method, writing, measuring."""
     from nanogs.pipeline.estimates.durations import simplify_stages
 

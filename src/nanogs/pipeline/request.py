@@ -322,7 +322,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RequestPlan:
     """The way in which a request is going to be met.
 
     Attributes:
@@ -336,7 +336,7 @@ class Plan:
     divided: bool
 
 
-def plan_files(request: Request) -> Plan:
+def plan_files(request: Request) -> RequestPlan:
     """Decide between a model in memory and blocks, for every caller; no row is read.
 
     The model is held in memory if it fits, unless the request has something that only jobs have: a
@@ -352,7 +352,7 @@ def plan_files(request: Request) -> Plan:
     memory = memory_of(request, splats, layout.sh_degree, extra, target)
     asked = request.block or request.job or request.scratch or request.executor or request.resume
     divided = bool(asked or memory.peak > allowed_memory(request.max_memory).bytes)
-    return Plan(splats, layout.sh_degree, divided)
+    return RequestPlan(splats, layout.sh_degree, divided)
 
 
 def _most(goal: Goal, splats: int) -> int:
