@@ -146,7 +146,7 @@ class Streams:
         if not raw.stat().st_size:
             raise OptionError("stdin is empty; pipe a model into it.")
         suffix = detect_suffix(raw, "stdin", self.read_as, _REMEDY)
-        if suffix.endswith((*MANIFESTS, "meta.json")):
+        if suffix.endswith((*MANIFESTS, registry.META)):
             raise OptionError(
                 f"A {suffix.lstrip('.')} refers to other files of its folder, which stdin does not"
                 " hold; name the file instead of -."

@@ -13,7 +13,7 @@ from nanogs.io.urls import Address
 from nanogs.paths import exists, is_file, is_folder
 
 # Manifests: a folder with one of these is a single model.
-WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, "meta.json", "meta.lcc2")
+WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, registry.META, "meta.lcc2")
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from nanogs.splats import Splats
 
 _HEAD_BYTES = 8  # bytes at the start of a file from which the format is detected
 LEVELS, TILESET = "lod-meta.json", "tileset.json"
+META = "meta.json"  # of a SOG model that is a folder
 LEVEL_LIST = "levels.json"  # the list of levels in a folder with one file for each
 ARCHIVE = ".ssog"  # a zip of a folder with `LEVELS`
 _OF_LEVELS = (LEVELS, TILESET, ARCHIVE)

@@ -195,7 +195,7 @@ class ChunksFilling(LevelsFilling):
         self._levels.append(chunks)
         self.names.append(names)
         # A model that is a folder is listed by its `meta.json` alone.
-        named = [n for n in names if "/" not in n or n.endswith(f"/{streamed_sog.META}")]
+        named = [n for n in names if "/" not in n or n.endswith(f"/{registry.META}")]
         lost = join_findings(left_out)
         self.written.append(Written(splats, named, size, lost, requests=len(names)))
 

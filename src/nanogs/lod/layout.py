@@ -17,7 +17,7 @@ from nanogs.io import registry
 from nanogs.io.rad.write import SUFFIX as TREE
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, level_name
-from nanogs.lod.streamed_sog import META, StreamedSog
+from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
 from nanogs.lod.tree_blocks import Linked
 from nanogs.place import Place, columns, transform_of
@@ -120,7 +120,7 @@ def _refuse_files(path: Path) -> None:
         OptionError: It is one.
     """
     if path.suffix.lower() == ".json":
-        described = path.name in (META, registry.LEVEL_LIST)  # of another format
+        described = path.name in (registry.META, registry.LEVEL_LIST)  # of another format
         folder = path.parent if described else path.parent / path.stem
         raise OptionError(
             f"{path}: levels are described by a file called {listed(NAMES.values(), 'or')}; name"

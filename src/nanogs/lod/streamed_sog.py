@@ -19,7 +19,7 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F64, I64
 from nanogs.io.generator import GENERATOR, read_own
-from nanogs.io.registry import LEVELS
+from nanogs.io.registry import LEVELS, META
 from nanogs.lod.boxes import box_around, union
 from nanogs.lod.cells import Cells
 from nanogs.lod.chunks import (
@@ -36,7 +36,6 @@ from nanogs.switches import streamed_pixel
 # Extent of splats in boxes, as in the format's own tool. A viewer chooses levels by the distance to
 # the boxes, so that larger ones would load fine levels too early.
 _DEVIATIONS = 1.0
-META = "meta.json"
 ENVIRONMENT = "env"  # its folder, named as by the format's own tool
 _Node = tuple[dict[str, Any], F64]
 T = TypeVar("T")

@@ -19,7 +19,7 @@ PackingFormats = Mapping[str, FormatOptions]
 """Formats in which models are packed, by suffix, with the options for writing each."""
 
 # Formats by their name in `FileInfo` or suffix -> the format that encodes values in the same way.
-_SAME_ENCODING = {"meta.json": "sog", "streamed sog": "sog"}
+_SAME_ENCODING = {registry.META: "sog", "streamed sog": "sog"}
 
 
 def packing_of(

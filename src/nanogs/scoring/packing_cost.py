@@ -19,6 +19,7 @@ from nanogs.io import open as open_model
 from nanogs.io.collect import model_in
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model, opened
+from nanogs.io.registry import META
 from nanogs.io.urls import as_path
 from nanogs.memory import allowed_memory
 from nanogs.memory_estimates import pictures_bytes
@@ -40,7 +41,7 @@ from nanogs.splats import Splats
 if TYPE_CHECKING:
     from nanogs.scoring.held_out import HeldOut
 
-_SLOW = {".sog": 8.0, "meta.json": 8.0}  # time to write relative to reading; 1 for others
+_SLOW = {".sog": 8.0, META: 8.0}  # time to write relative to reading; 1 for others
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,7 +144,7 @@ class WorkerCache:
         return self._curves[key]
 
     def _new_curve(self, choice: Choice, grown: "Grown") -> Curve:
-        suffix = ".sog" if choice.format == "meta.json" else choice.format
+        suffix = ".sog" if choice.format == registry.META else choice.format
         known, splats = registry.writable(Path(f"model{suffix}")), self.sifted(choice).splats
         if choice.sh_degree is not None:
             splats = splats.with_sh_degree(choice.sh_degree)

@@ -19,9 +19,9 @@ from nanogs.studio.scene import Scene, StudioSettings
 from nanogs.studio.turning import direction_of, frames_to, turned
 
 LAYOUTS = {
-    "lod-meta.json": ("streamed SOG, a folder", "{stem}/lod-meta.json"),
+    registry.LEVELS: ("streamed SOG, a folder", "{stem}/lod-meta.json"),
     registry.ARCHIVE: ("streamed SOG, one file", "{stem}.ssog"),
-    "tileset.json": ("3D Tiles, a folder", "{stem}/tileset.json"),
+    registry.TILESET: ("3D Tiles, a folder", "{stem}/tileset.json"),
     ".rad": ("a tree for Spark, one file", "{stem}.rad"),
 }
 """Layouts of levels of detail, by suffix: a description, and a template of the output path."""
@@ -217,5 +217,5 @@ def shown_path(scene: Scene, choice: Choice) -> Path:
     """Return a placeholder output path, for showing the command before the user names a file."""
     if choice.levels is not None:
         return Path(LAYOUTS[choice.format][1].format(stem=f"{scene.stem}-levels"))
-    folder = choice.format == "meta.json"
+    folder = choice.format == registry.META
     return Path("out") / choice.format if folder else Path(f"out{choice.format}")

@@ -2,11 +2,11 @@
 
 from nanogs.io.format import Format, FormatOptions, WriteOption
 from nanogs.io.precision import FEWEST_BITS, MOST_BITS, MOST_SPARE_BITS
-from nanogs.io.registry import ARCHIVE, LEVELS
+from nanogs.io.registry import ARCHIVE, LEVELS, META
 from nanogs.io.sog import write
 from nanogs.io.sog.levels import open_level
 from nanogs.io.sog.meta import PALETTE_MAX
-from nanogs.io.sog.read import META, SogSource
+from nanogs.io.sog.read import SogSource
 from nanogs.source import Source
 
 _FIRST_BITS = 6  # start of a search for the best `bits`: mostly at most one off

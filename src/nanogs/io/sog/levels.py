@@ -22,9 +22,9 @@ from nanogs.io.info import FileInfo
 from nanogs.io.joined import JoinedPacked, joined_info
 from nanogs.io.json_fields import integer, is_plain, parse, read_json, refused, rows, table
 from nanogs.io.parts import check_level
-from nanogs.io.registry import LEVELS
+from nanogs.io.registry import LEVELS, META
 from nanogs.io.sog.meta import MAX_COUNT, is_manifest
-from nanogs.io.sog.read import META, SogSource
+from nanogs.io.sog.read import SogSource
 
 # Parsed JSON takes up to 25 times the size of its text in memory; a leaf has some 500 bytes for
 # 10 K splats or more.

@@ -20,6 +20,7 @@ from nanogs.io.files import check_expansion, input_size, reading, splat_bytes
 from nanogs.io.info import FileInfo
 from nanogs.io.json_fields import parse, refused
 from nanogs.io.parts import Column, ColumnReader, Packed
+from nanogs.io.registry import META
 from nanogs.io.rotations import whole_quats
 from nanogs.io.sog.meta import (
     CODES,
@@ -34,7 +35,6 @@ from nanogs.io.sog.texture import HEAD_BYTES, decode, size
 from nanogs.slices import BLOCK_ROWS
 from nanogs.splats import Splats
 
-META = "meta.json"
 _PALETTE = "shN_centroids"
 _TEXEL = 25  # bytes of memory per texel while decoding, measured: Pillow's copies and ours
 _ROWS = 1 << 16  # rows of a piece that `unpack` yields

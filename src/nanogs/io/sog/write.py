@@ -30,6 +30,7 @@ from nanogs.io.generator import GENERATOR, read_own
 from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
 from nanogs.io.precision import Precision, visibility
+from nanogs.io.registry import META
 from nanogs.io.rotations import Rounding, minimise_rotation, split_quats
 from nanogs.io.sog import meta as sog_meta
 from nanogs.io.sog.codebook import codebook, nearest
@@ -206,7 +207,7 @@ def start_encoding(
 
     meta = _encode(splats, groups, packing, submit, on_progress)
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
-    return lambda: {name: made() for name, made in encoding.items()} | {"meta.json": text}
+    return lambda: {name: made() for name, made in encoding.items()} | {META: text}
 
 
 def losses(splats: Splats) -> tuple[str, ...]:
@@ -247,13 +248,13 @@ def _beyond(splats: Splats) -> Bool:
 
 def ours(folder: Path) -> frozenset[str] | None:
     """Return the names of the files in a folder that nanogs wrote, or None for other folders."""
-    data = read_own(folder / "meta.json", "asset", "generator")
+    data = read_own(folder / META, "asset", "generator")
     if data is None:
         return None
     lists = [own.get("files") for own in data.values() if isinstance(own, dict)]
     named = [str(name) for each in lists if isinstance(each, list) for name in each]
     # Plain names only: a manipulated meta.json must not name files outside its folder.
-    return frozenset({"meta.json", *filter(is_plain, named)})
+    return frozenset({META, *filter(is_plain, named)})
 
 
 def _encode(

@@ -7,6 +7,7 @@ enough. No Numba here: the command plans with them before it is imported.
 from dataclasses import dataclass
 
 from nanogs.fit.stages import refit_stages
+from nanogs.io.registry import META
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.presets import fit_parameters
 from nanogs.progress import Stage
@@ -95,7 +96,7 @@ def read_weight(splats: int) -> float:
 def write_weight(suffix: str, splats: int) -> float:
     """Return the weight of writing a file; SOG takes longer, because it computes a palette."""
     millions = splats / _MILLION
-    return 1 + 25 * millions if suffix in (".sog", ".json", "meta.json") else 0.3 * millions
+    return 1 + 25 * millions if suffix in (".sog", ".json", META) else 0.3 * millions
 
 
 def measure_stage(splats: int) -> Stage:
