@@ -18,7 +18,7 @@ ROOT = Path(nanogs.__file__).parent
 # means all modules in it.
 ORDER = """
 _version _types errors paths ranges formatting findings quantities defaults activations place
-protocol sh control_groups
+protocol sh control_groups templates
 charts costs switches progress clock cleanup allocation threads slices parallel sorting morton
 kernels
 card

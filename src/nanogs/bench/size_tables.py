@@ -4,7 +4,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
 
 from nanogs.bench.gains import Gain, MeanGain, mean_gains, score_on
 from nanogs.bench.means import unique
@@ -12,6 +11,7 @@ from nanogs.bench.rows import BenchRow, Status
 from nanogs.bench.size_charts import SizeCharts
 from nanogs.charts import narrow_svg
 from nanogs.formatting import NONE, counted, number_text
+from nanogs.templates import template
 
 TITLE = "Gain at equal size"
 ALONE = "A gain is that of one method over another, and only one was measured."
@@ -84,13 +84,10 @@ def size_page(rows: Sequence[BenchRow], others: Sequence[str], preamble: str) ->
         others: As for `mean_gains`.
         preamble: How they were made, as text.
     """
-    from jinja2 import Environment
     from markupsafe import Markup
 
     gains = mean_gains(rows, others)
-    text = files("nanogs.bench").joinpath("sizes.html.j2").read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(text).render(
+    return template("nanogs.bench", "sizes.html.j2").render(
         title=TITLE,
         preamble=Markup(_wrappable(preamble.replace("```\n", "").strip())),  # noqa: S704
         legend=LEGEND if gains else ALONE,

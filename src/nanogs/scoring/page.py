@@ -10,6 +10,7 @@ from nanogs.formatting import bytes_text, counted, number_text
 from nanogs.scoring.comparison import Comparison, Sheet
 from nanogs.scoring.pictures import ERROR_FULL_SCALE
 from nanogs.scoring.scores import ModelScore
+from nanogs.templates import template
 from nanogs.view.page import POLICY
 
 # Content security policy of a page without the viewer: its pictures are embedded.
@@ -28,18 +29,14 @@ def render_page(
         viewer: From `nanogs.view.page.viewer_part`: an interactive part, which starts when a button
             is pressed; None for a page without it.
     """
-    from jinja2 import Environment
-
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["number"] = number_text
-    environment.filters["size"] = bytes_text
-    environment.filters["counted"] = counted
-    template = environment.from_string(_text("page.html.j2"))
+    page = template(
+        "nanogs.scoring", "page.html.j2", number=number_text, size=bytes_text, counted=counted
+    )
     width, height = comparison.protocol.pixels
     plot = ""
     if len({model.splats for model in comparison.models}) > 1:
         plot = rate_distortion_plot(comparison.models, comparison.protocol_texts[0])
-    return template.render(
+    return page.render(
         title=title,
         comparison=comparison,
         width=width,

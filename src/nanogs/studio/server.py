@@ -25,6 +25,7 @@ from nanogs.studio.pages import Pages
 from nanogs.studio.safety import Guard
 from nanogs.studio.scene import Scene, StudioSettings
 from nanogs.studio.supervisor import WorkerSupervisor
+from nanogs.templates import template
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -147,12 +148,10 @@ class Studio:
                 self._stop()
 
     async def _page(self, _request: "Request") -> "Response":
-        from jinja2 import Environment
         from starlette.responses import HTMLResponse
 
-        source = _package("nanogs.studio", "page.html.j2")
-        template = Environment(autoescape=True).from_string((source or b"").decode())
-        text = template.render(name=self._scene.path.name, version=__version__)
+        page = template("nanogs.studio", "page.html.j2")
+        text = page.render(name=self._scene.path.name, version=__version__)
         return HTMLResponse(utf8(text))
 
     async def _viewer(self, _request: "Request") -> "Response":

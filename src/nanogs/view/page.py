@@ -3,13 +3,13 @@
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import Any
 
 from nanogs._version import __version__
 from nanogs.errors import ModelError
 from nanogs.formatting import bytes_text, counted, number_text
 from nanogs.protocol import Background, Judged, hex_text
+from nanogs.templates import template
 from nanogs.view.bundle import licences, program
 from nanogs.view.pack import Packed, camera_in_page
 from nanogs.views.opening import Opening
@@ -81,8 +81,7 @@ def viewer_part(models: Sequence[Shown], start: Opening, background: Background)
                 f"{model.name} is too large for a page ({bytes_text(len(texts[-1]))} as text, and"
                 f" browsers hold {bytes_text(MOST_TEXT)}); simplify it first."
             )
-    return _render(
-        "viewer.html.j2",
+    return template("nanogs.view", "viewer.html.j2").render(
         licences=licences(),
         scene=_scene(models, start, background),
         models=texts,
@@ -99,8 +98,7 @@ def render_page(models: Sequence[Shown], start: Opening, background: Background)
     """
     from markupsafe import Markup
 
-    return _render(
-        "page.html.j2",
+    return template("nanogs.view", "page.html.j2").render(
         title=" and ".join(model.name for model in models) or "Model",
         background=hex_text(background),
         policy=POLICY,
@@ -124,11 +122,3 @@ def _scene(models: Sequence[Shown], start: Opening, background: Background) -> d
         "camera": camera_in_page(start),
         "background": hex_text(background),
     }
-
-
-def _render(template: str, **values: Any) -> str:  # noqa: ANN401 - what the template takes
-    from jinja2 import Environment
-
-    text = files("nanogs.view").joinpath(template).read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(text).render(values)
