@@ -34,6 +34,7 @@ class FakeStudio:
     Attributes:
         requests: Path and JSON of each request, in order.
         drawn_reports: The page's reports of what it has drawn, in order.
+        left: JSON of the requests that pages sent when they were left, in order.
         fetched: Names of models, in the order in which they were fetched.
         refused: By path, the status and the sentence with which its next request is answered.
     """
@@ -44,6 +45,7 @@ class FakeStudio:
         start = opening_for(original)
         self.models = {name: pack(model, start).data for name, model in models.items()}
         self.requests, self.refused, self.drawn_reports, self.fetched = [], {}, [], []
+        self.left = []
         self._events = queue.Queue()
         [position] = in_page(start.position[None], start).tolist()
         low, high = original.means.min(axis=0).tolist(), original.means.max(axis=0).tolist()
@@ -145,8 +147,8 @@ def running_fake(models):
         def do_POST(self):
             body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
             path = self.path.removeprefix("/")
-            if path == "seen":
-                fake.drawn_reports.append(body)
+            if path in ("seen", "leave"):
+                {"seen": fake.drawn_reports, "leave": fake.left}[path].append(body)
                 self.send(b"{}", "application/json")
                 return
             fake.requests.append((path, body))

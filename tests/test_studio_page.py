@@ -202,6 +202,13 @@ def test_a_reload_keeps_the_choice(studio):
     assert page.get_by_role("button", name="best").get_attribute("aria-pressed") == "true"
 
 
+def test_a_page_that_is_left_says_so(studio):
+    left = studio.fake.wait("ask")["page"]
+    studio.page.reload()
+    assert studio.fake.wait("ask", 2)["page"] != left
+    assert studio.fake.left == [{"page": left}]
+
+
 def test_the_page_reports_the_models_that_it_has_drawn(studio):
     studio.wait_until(
         lambda: [body["model"] for body in studio.fake.drawn_reports][-1:] == ["blue"]

@@ -278,6 +278,16 @@ def test_cancelling_a_save_leaves_no_file(page, folder):
     page.wait("measured", number=number)
 
 
+def test_the_requests_of_a_page_that_is_left_end_at_once_but_its_save_does_not(page, folder):
+    save, _ = page.save("left.ply", wish={"splats": 300}, format=".ply", preset="best")
+    page.wait("progress", number=save)
+    number, _ = page.ask(wish={"splats": 330}, preset="best")
+    assert page.post("leave")[0] == 204
+    assert page.wait("cancelled")["number"] == number
+    page.wait("saved", number=save)
+    assert len(nanogs.load(folder / "left.ply")) == 300
+
+
 @posix
 def test_a_worker_killed_during_a_save_is_reported_and_restarted(page, studio, folder):
     before = sorted(path.name for path in folder.iterdir())

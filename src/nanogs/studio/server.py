@@ -120,7 +120,8 @@ class Studio:
             get("files", self._files), get("models/{name}.spz", self._model),
             post("ask", self._ask), post("filter", self._filter),
             post("save", self._save), post("command", self._command),
-            post("cancel", self._cancel), post("seen", self._seen),
+            post("cancel", self._cancel), post("leave", self._leave),
+            post("seen", self._seen),
         ]  # fmt: skip
         application = Starlette(routes=routes, lifespan=self._living)
         application.router.redirect_slashes = False
@@ -139,13 +140,17 @@ class Studio:
         while True:
             await asyncio.sleep(_TICK)
             for name in self._pages.gone():
-                self._supervisor.cancel(name, "ask", "filter", "curve")
+                self._drop(name)
             saving = any(job.kind == "save" for job in self._supervisor.queue)
             left = self._pages.last_left
             if left is None or self._pages.watched or saving or not self._idle:
                 continue
             if time.monotonic() - left > self._idle:
                 self._stop()
+
+    def _drop(self, page: str) -> None:
+        """Drop the requests of a page that is closed, but for a save."""
+        self._supervisor.cancel(page, "ask", "filter", "curve")
 
     async def _page(self, _request: "Request") -> "Response":
         from starlette.responses import HTMLResponse
@@ -251,6 +256,14 @@ class Studio:
 
         data, _ = await self._asked(request)
         self._supervisor.cancel(data["page"])
+        return Response(status_code=204)
+
+    async def _leave(self, request: "Request") -> "Response":
+        """Drop the requests of a page that says that it is being closed or reloaded."""
+        from starlette.responses import Response
+
+        data, _ = await self._asked(request)
+        self._drop(data["page"])
         return Response(status_code=204)
 
     async def _seen(self, request: "Request") -> "Response":

@@ -16,13 +16,14 @@ export function connect() {
   source.onopen = () => emit("connected", {});
   source.onerror = () => emit("lost", { final: source.readyState === EventSource.CLOSED });
 
-  async function post(path, body) {
+  async function post(path, body, more = {}) {
     let response;
     try {
       response = await fetch(path, {
         method: "POST",
         headers: { "Content-Type": "application/json" },
         body: JSON.stringify({ page: PAGE, ...body }),
+        ...more,
       });
     } catch {
       throw new Refused("The studio does not answer; check that its command is still running.", 0);
@@ -37,6 +38,11 @@ export function connect() {
     }
     return answer;
   }
+
+  // Or the requests of a page that is reloaded would keep the next one waiting for ten seconds.
+  addEventListener("pagehide", (event) => {
+    if (!event.persisted) post("leave", {}, { keepalive: true }).catch(() => {});
+  });
 
   return {
     on(type, listener) {
