@@ -621,6 +621,25 @@ def test_a_format_that_is_a_folder_is_saved_as_a_folder_of_the_chosen_name(tab):
         assert page.input_value("#save-name") == "x.sog"
 
 
+def test_a_cancelled_request_is_still_called_so_after_a_save(studio):
+    page, fake = studio.page, studio.fake
+    page.get_by_role("button", name="best").click()
+    number = fake.wait("ask", 2)["number"]
+    fake.send_event(type="cancelled", number=number, kind="ask")
+    studio.wait_until(lambda: page.inner_text("#said") == "Cancelled")
+    page.keyboard.press("Control+s")
+    page.wait_for_selector("#entries >> text=old/")
+    page.fill("#save-name", "new.sog")
+    page.click("#save-go")
+    request = fake.wait("save")
+    fake.send_event(
+        type="saved", number=request["number"], path="new.sog", bytes=5000, report={},
+        command="nanogs it", short=None, replaced=False, lines=[],
+    )  # fmt: skip
+    studio.wait_until(lambda: "5.0 kB" in page.inner_text("#save-said"))
+    assert page.inner_text("#said") == "Cancelled"
+
+
 def test_saving_asks_before_it_replaces_a_file_and_shows_the_command(studio):
     page, fake = studio.page, studio.fake
     page.keyboard.press("Control+s")

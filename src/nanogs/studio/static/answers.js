@@ -14,7 +14,8 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
   let told = null; // ID of the model that was last reported to the server as drawn
   const failed = (error) => status.complain(error.message);
   const shareOf = ({ splats }) => numbers.percent(splats / scene.splats);
-  const rest = () => status.say(isMeasured() ? "Ready" : "");
+  let ended = ""; // what is said of the latest request if it ended without a result
+  const rest = () => status.say(isMeasured() ? "Ready" : ended);
 
   function badge(how) {
     byId("how").textContent = WORDS[how] ?? "";
@@ -73,6 +74,7 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
       if (before && !sameGround(before, choice)) curve.clear();
       else if (before && before.format !== choice.format) curve.forgetBytes();
       settle("coarse", asks.latest);
+      ended = "";
       status.complain("");
       sliders.show(null);
       plot.render();
@@ -90,6 +92,7 @@ export function makeAnswers(scene, state, { asks, curve, sliders, plot, picture,
     cancelled({ number, kind }) {
       if (number === asks.latest) settle("coarse", number);
       else if (asks.choiceOf(number)) return; // a later choice has replaced it
+      if (kind === "ask") ended = "Cancelled";
       status.say(kind === "curve" ? "" : "Cancelled");
     },
     // Reports that the model is drawn: the server waits for this before it computes, and limits
