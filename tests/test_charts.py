@@ -88,6 +88,16 @@ def test_labels_of_the_horizontal_axis_do_not_touch(draw, line):
     assert all(before[1] < after[0] for before, after in pairwise(ends))
 
 
+@pytest.mark.parametrize("draw", [lambda chart: svg([chart]), narrow_svg])
+@pytest.mark.parametrize("difference", [0.0, 0.0023, 0.04, 0.9])
+def test_labels_of_the_psnr_axis_leave_room_for_its_title(draw, difference):
+    lines = {"a": [(500.0, 48.3332)], "b": [(30_000.0, 48.3332 + difference)]}
+    drawing = ET.fromstring(draw(Chart("", "splats", lines)))
+    labels = [found.text for found in drawing.iter(f"{SVG}text") if found.get("x") == "-9.0"]
+    assert len(labels) >= 3
+    assert max(map(len, labels)) <= 5
+
+
 def test_a_narrow_chart_has_its_legend_below_its_axis_and_no_title():
     lines = {f"line {number}": [(1.0, 2.0 + number)] for number in range(5)}
     drawing = ET.fromstring(narrow_svg(Chart("title", "MB", lines)))

@@ -23,6 +23,7 @@ _DOTS = (
 _ENTRY = 20  # height of a line of the legend, pixels
 _DIGIT, _COMMA = 8, 4  # widths of these in a wide font, pixels
 _GAP = 8  # least distance of two labels of an axis, pixels
+_LEAST = 1.0  # least span of the PSNR axis, dB; labels of much shorter ones reach into its title
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +143,7 @@ def _drawn(chart: Chart, layout: _Layout) -> str:
     width, height = layout.width, layout.height
     x = [math.log10(point[0]) for line in chart.lines.values() for point in line]
     y = [point[1] for line in chart.lines.values() for point in line]
-    across, up = _axis(x, width), _axis(y, height)
+    across, up = _axis(x, width), _axis(y, height, _LEAST)
     parts = [
         _text(width / 2, -14, chart.title, size=14),
         _text(width / 2, height + 44, chart.across),
@@ -163,10 +164,10 @@ def _drawn(chart: Chart, layout: _Layout) -> str:
     return "".join(parts)
 
 
-def _axis(values: Sequence[float], pixels: int) -> _Axis:
-    """Make an axis that spans the values, with a margin at both ends."""
+def _axis(values: Sequence[float], pixels: int, least: float = 0.0) -> _Axis:
+    """Make an axis that spans the values, with a margin at both ends, and at least `least`."""
     low, high = min(values, default=0.0), max(values, default=1.0)
-    room = 0.05 * (high - low) or 0.5
+    room = max(0.05 * (high - low), (least - (high - low)) / 2) or 0.5
     return _Axis(low - room, high + room, pixels)
 
 
