@@ -33,14 +33,16 @@ def parse_vector(text: object) -> Vector:
     """Parse three numbers from `x,y,z`; a default is returned as it is.
 
     Raises:
-        OptionError: They are not three numbers.
+        OptionError: They are not three finite numbers.
     """
     if isinstance(text, Vector):
         return text
     try:
         x, y, z = (float(part) for part in str(text).split(","))
     except ValueError:
-        raise OptionError(f"Three numbers are needed, such as 0,90,0, not {text!r}.") from None
+        x = y = z = math.nan
+    if not all(map(math.isfinite, (x, y, z))):
+        raise OptionError(f"Three numbers are needed, such as 0,90,0, not {text!r}.")
     return Vector(x, y, z)
 
 
@@ -178,7 +180,7 @@ def parse_ratio(text: str) -> float:
     """Parse a ratio like `0.1` or `10%`.
 
     Raises:
-        OptionError: It is neither.
+        OptionError: It is neither, or above 100%.
     """
     from fractions import Fraction
 
@@ -186,7 +188,9 @@ def parse_ratio(text: str) -> float:
     match = re.fullmatch(rf"({number})\s*(%?)", text.strip().lower())
     ratio = Fraction(match[1]) / (100 if match[2] else 1) if match else None
     if ratio is None or ratio > sys.float_info.max:
-        raise OptionError(f"A ratio is like 0.1 or 10%, not {text!r}.")
+        raise OptionError(f"A share is like 0.1 or 10%, not {text!r}.")
+    if match and match[2] and ratio > 1:
+        raise OptionError(f"A share is at most 100%, not {text!r}.")
     return float(ratio)
 
 
@@ -200,7 +204,7 @@ def parse_ratios(text: str) -> tuple[float, ...]:
         return tuple(parse_ratio(part) for part in text.split(","))
     except OptionError:
         raise OptionError(
-            f"Levels must be ratios separated by commas, like 0.5,0.1, not {text!r}."
+            f"Levels must be ratios up to 1, separated by commas, like 0.5,0.1, not {text!r}."
         ) from None
 
 
