@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -278,6 +279,24 @@ def test_parts_of_one_scene_in_different_frames_are_refused(parts, names):
     with pytest.raises(ModelError, match=r"is in the frame .* cannot form one scene; turn one"):
         nanogs.write_levels(files, parts / "levels", [0.5])
     assert not (parts / "out.ply").exists()
+
+
+def test_models_in_another_frame_than_the_original_are_noted(parts, tmp_path):
+    """Nothing is turned, and the scores of such models say nothing about their quality."""
+    names = ("rub.spz", "rdf.spz", "a.glb", "none.spz")
+    files, see = [parts / name for name in names], {"views": 2, "pixels": 16}
+    said = (
+        "rub.spz is in the frame rub and a.ply in rdf, as the files state or by convention, and"
+        " neither was turned; if the pictures do not match, turn one by `nanogs convert` with"
+    )
+    assert nanogs.compare(parts / "a.ply", *files, **see).notes == (f"{said} `frame`.",)
+    assert nanogs.compare(parts / "none.spz", *files, **see).notes == ()
+    as_arrays = nanogs.load(parts / "a.ply")
+    assert nanogs.compare(as_arrays, files[0], **see).notes == ()
+    odd = shutil.copy(parts / "a.ply", tmp_path / "a.bin")
+    assert nanogs.compare(nanogs.open(odd, format=".ply"), files[0], **see).notes == ()
+    done = run_command("view", parts / "a.ply", files[0], "-o", tmp_path / "page.html", "--no-psnr")
+    assert f"note: {said} --frame.\n" in done.stderr
 
 
 def test_a_part_without_a_frame_is_taken_to_be_in_that_of_the_others(parts):

@@ -12,6 +12,36 @@ from nanogs.frames import TRAINED
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions
 from nanogs.io.parts import FileSource
+from nanogs.source import Source
+from nanogs.splats import Splats
+
+
+def other_frames(models: Sequence[tuple[str, Splats | Source]]) -> tuple[str, ...]:
+    """Note models that are in another frame than the first, since a comparison turns none.
+
+    Of arrays, and of files that state no frame and whose format has none, it is not known.
+
+    Args:
+        models: Names and models.
+
+    Raises:
+        FormatError: The part of a file that states its frame cannot be read.
+    """
+    (first, own), *others = ((name, _known_frame(model)) for name, model in models)
+    return tuple(
+        f"{name} is in the frame {frame} and {first} in {own}, as the files state or by convention,"
+        " and neither was turned; if the pictures do not match, turn one by `nanogs convert` with"
+        " `frame`."
+        for name, frame in others
+        if own and frame not in ("", own)
+    )
+
+
+def _known_frame(model: Splats | Source) -> str:
+    # The format of a file that was opened with `format` need not show in its name.
+    if not isinstance(model, FileSource) or registry.find(model.path) is None:
+        return ""
+    return _frame_of(model, "")
 
 
 def refuse_mixed_frames(inputs: Sequence[FileSource], before: str = "") -> tuple[str, ...]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from nanogs.io.frames import other_frames
 from nanogs.progress import Stage, Tracker, each
 from nanogs.protocol import BLACK, PIXELS, VIEWS, Background
 from nanogs.raster.camera import Camera
@@ -118,7 +119,8 @@ def measure(
         found = _on_photographs(ready, views, how, room, progress)
     else:
         found = _on_views(ready, views, how, room, progress)
-    notes = (*remarks_on(models), *packing_notes(models[1:], how.packing), *found.comparison.notes)
+    notes = (*remarks_on(models), *other_frames(models), *packing_notes(models[1:], how.packing))
+    notes += found.comparison.notes
     return found._replace(comparison=replace(found.comparison, notes=notes))
 
 

@@ -12,6 +12,7 @@ from nanogs.io import FileInfo, inspect, load
 from nanogs.io import open as open_model
 from nanogs.io.atomic import atomic_write
 from nanogs.io.collect import model_in
+from nanogs.io.frames import other_frames
 from nanogs.io.registry import refuse_level, stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import compare_bytes, page_bytes
@@ -129,7 +130,8 @@ def view_files(
     tracker.begin("read")
     with clock.time("read"):
         inputs = [(name, model_in(path)) for name, path in inputs]
-        levels = [open_model(path).levels for _name, path in inputs]
+        files = [(name, open_model(path)) for name, path in inputs]
+        levels = [file.levels for _name, file in files]
         infos = [
             inspect(path, level=_number(counts, level))
             for (_name, path), counts in zip(inputs, levels, strict=True)
@@ -145,12 +147,12 @@ def view_files(
         first_view = AUTOMATIC.get(wanted, "auto") if isinstance(wanted, str) else wanted[0]
         start = opening_for(models[0], first_view, up)
     texts = [_level_text(counts, level) for counts in levels]
-    judged, notes = None, tuple[str, ...]()
+    judged, notes = None, other_frames(files)
     if measured:
         with clock.time("measure"):
             comparison = _compare(inputs, models, found, kind, background, tracker)
         judged = comparison.judged(0)
-        notes = (*_against(inputs[0][0], texts[0]), *comparison.notes)
+        notes += (*_against(inputs[0][0], texts[0]), *comparison.notes)
     tracker.begin("encode")
     with clock.time("pack"):
         packed = [pack(splats, start) for splats in each(models, tracker.part)]
