@@ -172,6 +172,16 @@ def test_a_mistyped_command_line_is_refused_in_one_sentence(arguments, message):
     assert message in result.stderr
 
 
+@pytest.mark.parametrize("name", ["-s.ply", "--s.ply"])
+def test_a_file_whose_name_begins_with_a_dash_is_told_from_an_option(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    nanogs.save(random_splats(10), name)
+    refused = run("info", name)
+    said = f"error: {name} begins like an option; name the file ./{name}.\n"
+    assert (refused.returncode, refused.stderr) == (2, said)
+    assert run("info", f"./{name}").returncode == 0
+
+
 def test_without_a_command_the_help_is_printed():
     result = run()
     assert result.returncode == 2

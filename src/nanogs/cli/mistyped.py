@@ -5,9 +5,11 @@ they are recognised by their attributes.
 """
 
 import re
+import sys
 from typing import Any
 
 from nanogs.errors import did_you_mean
+from nanogs.paths import exists
 
 # Patterns in the messages of Typer and Click, and the kind of value that the option takes.
 _TAKES = (
@@ -45,6 +47,8 @@ def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
         return ""
     command = f"{context.command_path} --help" if context else "nanogs --help"
     if option := _unknown_option(error):
+        if file := next(filter(_is_dashed_file, sys.argv[1:]), ""):
+            return f"{file} begins like an option; name the file ./{file}."
         return f"There is no option {option}{_meant(option, context)}; `{command}` lists them."
     if value := _bad_value(error):
         return f"{value}; see `{command}`."
@@ -58,6 +62,10 @@ def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
 
 def _unknown_option(error: Any) -> str:  # noqa: ANN401
     return str(error.option_name) if type(error).__name__ == "NoSuchOption" else ""
+
+
+def _is_dashed_file(word: str) -> bool:
+    return word.startswith("-") and exists(word)
 
 
 def _meant(option: str, context: Any) -> str:  # noqa: ANN401
