@@ -2,12 +2,15 @@
 
 import os
 import random
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -191,6 +194,34 @@ def test_a_cancelled_job_is_named(tmp_path):
     assert code == 128 + signal.SIGINT, stderr
     said = f"note: {manifest.parent} is kept; --resume continues the run."
     assert stderr.splitlines()[-2:] == [said, "cancelled"]
+
+
+@pytest.mark.skipif(not shutil.which("bash") or os.name == "nt", reason="needs bash and terminals")
+def test_ctrl_c_in_a_terminal_ends_the_loop_of_a_shell_too(tmp_path):
+    """The shell goes on with the next file if the program exits by itself, whatever its code."""
+    nanogs.save(random_splats(60_000), tmp_path / "in.ply")
+    loop = (
+        "for i in 1 2; do echo start $i; "
+        f"{shlex.join(COMMAND)} simplify in.ply $i.ply --ratio 0.5; echo end $?; done"
+    )
+    screen, terminal = os.openpty()
+    shell = subprocess.Popen(
+        ["bash", "-c", loop], cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal,
+        start_new_session=True,
+    )  # fmt: skip
+    os.close(terminal)
+    seen = os.read(screen, 1000)
+    while b"look" not in seen:
+        seen += os.read(screen, 1000)
+    os.killpg(shell.pid, signal.SIGINT)
+    with suppress(OSError):  # Linux raises when the last process has closed the terminal
+        while part := os.read(screen, 1000):
+            seen += part
+    os.close(screen)
+    assert shell.wait(timeout=60) == -signal.SIGINT
+    assert seen.rstrip().endswith(b"cancelled")
+    assert b"start 2" not in seen
+    assert contents(tmp_path) == ["in.ply"]
 
 
 @lists_processes

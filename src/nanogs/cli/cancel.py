@@ -68,6 +68,11 @@ def _end(number: int) -> None:
     clean_all()
     with suppress(OSError):
         os.write(2, (_CLEAR if os.isatty(2) else b"") + _kept() + b"cancelled\n")
+    if number == signal.SIGINT and os.name != "nt" and (os.isatty(1) or os.isatty(2)):
+        # A shell goes on with its loop if the program exits by itself, whatever its code.
+        with suppress(ValueError):  # another thread than the first has to end the program
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
     os._exit(128 + number)  # the shell's exit code for programs ended by a signal
 
 
