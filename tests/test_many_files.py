@@ -273,6 +273,14 @@ def test_a_folder_of_several_models_is_refused_with_their_names(folder, tmp_path
     assert names(tmp_path) == ["in"]
 
 
+def test_of_many_models_in_a_folder_four_are_named(tmp_path):
+    for name in "abcdef":
+        (tmp_path / f"{name}.ply").touch()
+    result = run("info", tmp_path)
+    said = f"error: The folder {tmp_path} holds 6 models; name one: a.ply, b.ply, c.ply, d.ply or"
+    assert result.stderr == f"{said} another.\n"
+
+
 def test_load_asks_for_the_file_inside_a_folder(folder):
     with pytest.raises(FormatError, match=r"garden is a folder; name the model file inside it\."):
         nanogs.load(folder / "garden")

@@ -75,7 +75,7 @@ def model_in(path: Path) -> Path:
         return path
     inside = _files(path)
     if len(inside) > 1 and not is_file(path / registry.LEVEL_LIST):
-        names = ", ".join(file.name for file in inside[:4]) + (", ..." if len(inside) > 4 else "")
+        names = ", ".join(file.name for file in inside[:4]) + " or another" * (len(inside) > 4)
         raise FormatError(f"The folder {path} holds {len(inside)} models; name one: {names}.")
     return inside[0]  # sorted by name, so of several levels the finest
 
