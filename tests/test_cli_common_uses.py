@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -63,6 +64,8 @@ def test_a_folder_with_one_model_can_be_given_for_it(folder, tmp_path):
         ("render {a} -", "This command does not write to stdout"),
         ("compare {a} {a} --report {out}/a.pdf", "pages are written as HTML; name"),
         ("view {a} -o {out}/a.png", "pages are written as HTML; name"),
+        ("view {a} -o .", ".: pages are written as HTML; name page.html."),
+        ("compare {a} {a} --report ..", f"; name {Path('..', 'page.html')}."),
         (
             "simplify {a} {out}/meta.json --size 9kB",
             "--size works only for models in one file, and meta.js",

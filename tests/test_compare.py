@@ -685,6 +685,13 @@ def test_pictures_need_a_model_and_cameras(tmp_path):
     assert [each.name for each in tmp_path.iterdir()] == ["a.png"]
 
 
+def test_pictures_are_written_into_the_current_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    named = replace(camera(), name="front")
+    assert render_images(random_splats(20), named, ".")[0] == ["front.png"]
+    assert [each.name for each in tmp_path.iterdir()] == ["front.png"]
+
+
 def test_a_model_for_another_rasteriser_is_noted():
     splats = random_splats(50)
     other = replace(splats, render_mode="mip")

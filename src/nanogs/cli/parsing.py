@@ -272,7 +272,8 @@ def parse_page(text: str | Path) -> Path:
     """
     page = parse_local(text)
     if page.suffix.lower() not in (".html", ".htm"):
-        raise OptionError(f"{page}: pages are written as HTML; name {page.with_suffix('.html')}.")
+        named = page.with_suffix(".html") if page.name.strip(".") else page / "page.html"
+        raise OptionError(f"{page}: pages are written as HTML; name {named}.")
     return page
 
 

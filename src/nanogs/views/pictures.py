@@ -118,6 +118,8 @@ def _refuse_unstorable(suffix: str, target: Path, camera: Camera, *, transparent
         OptionError: It is to be transparent, or is too large.
     """
     kind = _kind(suffix)
+    if kind == "PNG":  # in a folder too, whose name may be empty, as in "."
+        return
     png = target.with_suffix(".png")
     if transparent and kind == "JPEG":
         raise OptionError(f"{target}: JPEG has no alpha; name {png} or {png.with_suffix('.webp')}.")
