@@ -64,8 +64,9 @@ def test_a_folder_with_one_model_can_be_given_for_it(folder, tmp_path):
         ("render {a} -", "This command does not write to stdout"),
         ("compare {a} {a} --report {out}/a.pdf", "pages are written as HTML; name"),
         ("view {a} -o {out}/a.png", "pages are written as HTML; name"),
-        ("view {a} -o .", ".: pages are written as HTML; name page.html."),
-        ("compare {a} {a} --report ..", f"; name {Path('..', 'page.html')}."),
+        ("view {a} -o .", ".: pages are written as HTML; name scene.html."),
+        ("lod {a} . --format ssog", "leave it out, and name scene.ssog."),
+        ("compare {a} {a} --report ..", f"; name {Path('..', 'scene.html')}."),
         (
             "simplify {a} {out}/meta.json --size 9kB",
             "--size works only for models in one file, and meta.js",

@@ -106,6 +106,8 @@ def test_blocks_give_the_same_bytes_for_any_number_of_threads(archive_folder, tm
     ("layout", "name", "message"),
     [
         ("streamed sog archive", "web", r'archive" is one \.ssog file; name that, .* web\.ssog\.$'),
+        ("streamed sog archive", ".", r"is one \.ssog file; name that, as in scene\.ssog\.$"),
+        ("spark tree", "/", r"is one \.rad file; name that, as in .scene\.rad\.$"),
         ("spark tree", "web.ply", r"is one \.rad file; name that, .* web\.rad\.$"),
         ("streamed sog", "web/lod-meta.json", r'"streamed sog" is a folder; .* as in web\.$'),
         ("3d tiles", "web/tileset.json", r'"3d tiles" is a folder; name that, as in web\.$'),

@@ -1,4 +1,4 @@
-"""Whether paths exist, answered also where the system refuses to look.
+"""Whether paths exist, answered also where the system refuses to look, and paths to suggest.
 
 The methods of `Path` raise for a name that is too long and, before Python 3.14, for a
 folder that may not be searched.
@@ -6,6 +6,7 @@ folder that may not be searched.
 
 import os
 from os import PathLike
+from pathlib import Path
 
 
 def exists(path: str | PathLike[str]) -> bool:
@@ -32,3 +33,8 @@ def why_refused(path: str | PathLike[str]) -> str | None:
     except OSError as error:
         return error.strerror or str(error)
     return None
+
+
+def suggested(path: Path, suffix: str) -> Path:
+    """Return a path with another suffix, for a message; of `.`, `..` and `/` a file in them."""
+    return path.with_suffix(suffix) if path.name.strip(".") else path / f"scene{suffix}"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nanogs.errors import OptionError
+from nanogs.paths import suggested
 from nanogs.quantities import MULTIPLES, multiple, parse_bytes
 
 _LEAST_MEMORY = 10**6  # bytes; a smaller number was meant in another unit
@@ -272,8 +273,7 @@ def parse_page(text: str | Path) -> Path:
     """
     page = parse_local(text)
     if page.suffix.lower() not in (".html", ".htm"):
-        named = page.with_suffix(".html") if page.name.strip(".") else page / "page.html"
-        raise OptionError(f"{page}: pages are written as HTML; name {named}.")
+        raise OptionError(f"{page}: pages are written as HTML; name {suggested(page, '.html')}.")
     return page
 
 

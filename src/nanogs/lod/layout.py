@@ -20,6 +20,7 @@ from nanogs.lod.folder import PLY, level_name
 from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.lod.tiles import Tiles
 from nanogs.lod.tree_blocks import Linked
+from nanogs.paths import suggested
 from nanogs.place import Place, columns, transform_of
 from nanogs.ranges import is_number, value_text
 
@@ -104,7 +105,7 @@ def output_of(path: Path, suffix: str | None = None) -> Output:
     ending = registry.suffix_of(suffix)
     for name in (*NAMES.values(), registry.ARCHIVE):
         if ending.endswith(name):
-            whole = path.with_suffix(name) if name == registry.ARCHIVE else path / name
+            whole = suggested(path, name) if name == registry.ARCHIVE else path / name
             raise OptionError(
                 f"{suffix} describes all levels, and `format` is that of a file for each; leave it"
                 f" out, and name {whole}."
@@ -146,7 +147,7 @@ def refuse_misnamed(path: Path, layout: LodLayout) -> None:
     if ending and path.suffix.lower() != ending:
         raise OptionError(
             f'{path}: the layout "{layout}" is one {ending} file; name that, as in'
-            f" {path.with_suffix(ending)}."
+            f" {suggested(path, ending)}."
         )
     if known and not ending:
         folder = path.parent if path.name in NAMES.values() else path.with_suffix("")
