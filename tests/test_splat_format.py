@@ -59,7 +59,7 @@ def test_negative_scale_is_noted(load):
 
 def test_negative_scales_of_all_blocks_are_counted(load, monkeypatch):
     monkeypatch.setattr("nanogs.io.parts.BLOCK_ROWS", 3)
-    data = row(scale=(1, -1, 1)) * 4 + row() * 4
+    data = row(scale=(1, -1, -1)) * 4 + row() * 4
     assert load(data).notes == ("4 splats have a negative scale, which became NaN.",)
 
 

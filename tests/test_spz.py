@@ -73,6 +73,15 @@ def test_rotations_are_decoded(load, version, rotation_number):
     assert abs(decoded @ np.roll(quat, 1)) == pytest.approx(1, abs=2e-3 if version < 3 else 1e-5)
 
 
+@pytest.mark.parametrize("version", [3, 4])
+def test_quarter_turns_have_the_sign_of_their_axis(load, version):
+    """Their smaller component has the largest magnitude that a file can hold."""
+    for sign in (-1, 1):
+        quarter = np.array([sign, 0, 0, 1]) * 0.5**0.5
+        decoded = load(encode([row(xyzw=tuple(quarter))], version)).quats[0]
+        assert abs(decoded @ np.roll(quarter, 1)) == pytest.approx(1, abs=1e-6)
+
+
 def unpacked(data):
     """Return the bytes of a file without gzip compression."""
     return gzip.decompress(data)

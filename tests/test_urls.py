@@ -456,6 +456,10 @@ def test_commands_write_to_urls(folder, temporary, memory, capfd):
     assert launch.run_here("convert", scene, out, "--json") == 0
     assert json.loads(capfd.readouterr().out)["output"] == out
     assert memory.cat_file("/x/out.ply") == scene.read_bytes()
+    assert launch.run_here("convert", scene, out, "--sh-degree", "0") == 2
+    assert f"{out} exists already; add -w to replace it." in capfd.readouterr().err
+    assert launch.run_here("convert", scene, out, "-w") == 0
+    capfd.readouterr()
     small = ("-r", "0.1", "--preset", "fast")
     assert launch.run_here("simplify", scene, out, *small) == 2
     assert f"{out} exists already; add -w to replace it." in capfd.readouterr().err
