@@ -13,7 +13,7 @@ from rich.console import Console
 
 import nanogs
 from builders import random_splats
-from launch import run
+from launch import run, run_here
 from nanogs.cli import progress
 from nanogs.cli.many import Run
 from nanogs.cli.progress import Watch, shown
@@ -44,6 +44,30 @@ def run_stages(watch, pause=0.0):
             tracker.part(part, 4)
             time.sleep(pause)
     tracker.finish()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "convert a.ply out.spz",
+        "simplify a.ply out.ply -r 0.5 --preset fast",
+        "lod a.ply levels --preset fast",
+        "refit a.ply b.ply out.ply --views 4 --pixels 32",
+        "render a.ply pictures --views 1 --pixels 32",
+        "compare a.ply b.ply --views 1 --pixels 32",
+        "info a.ply --views 1 --pixels 32",
+        "info a.ply --packed .spz",
+    ],
+)
+def test_commands_show_all_stages_up_to_the_end(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, count in (("a.ply", 400), ("b.ply", 100)):
+        nanogs.save(random_splats(count), name)
+    steps = []
+    monkeypatch.setattr(Watch, "__call__", lambda _watch, step: steps.append(step))
+    assert run_here(*words.split()) == 0
+    assert {step.number for step in steps} == set(range(1, steps[-1].stages + 1))
+    assert steps[-1].fraction == 1
 
 
 def test_a_pipe_gets_one_numbered_line_for_each_stage(capsys, no_delay):

@@ -142,6 +142,7 @@ def _refit_files(
         progress.begin("write")
         with clock.time("write"):
             left_out = save(fitted, target, overwrite=run.overwrite, progress=progress.passing())
+        progress.finish()
     return replace(
         report,
         notes=(*remarks, *report.notes, *left_out),

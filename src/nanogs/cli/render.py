@@ -104,6 +104,7 @@ def render(
                 model, chosen, target, background=color, transparent=transparent, depth=depth,
                 overwrite=run.overwrite, room=room, progress=progress.passing(),
             )  # fmt: skip
+            progress.finish()
     said = f"{target}: {counted(len(written), 'image')}"
     report = {"input": str(source), "images": written, "device": used}
     report["notes"] = [*opened.remarks, *notes, *device_notes(device, used)]
