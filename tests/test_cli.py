@@ -13,9 +13,10 @@ from typer.main import get_command
 
 import nanogs
 from builders import random_splats
-from launch import run
+from launch import run, run_here
 from nanogs.cli.app import app
 from nanogs.cli.console import show_report
+from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import OptionError
 
 
@@ -245,6 +246,20 @@ def test_info_counts_infinite_opacities(tmp_path):
 def test_demo_generates_a_scene_of_the_requested_count(tmp_path):
     assert run("demo", tmp_path / "demo.ply", "-n", "2000").returncode == 0
     assert len(nanogs.load(tmp_path / "demo.ply")) == 2000
+
+
+def test_demo_generates_another_scene_for_another_seed(tmp_path):
+    for seed in (0, 7):
+        assert run("demo", tmp_path / f"{seed}.ply", "-n", "500", "--seed", seed).returncode == 0
+        expected = make_scene(500, seed=seed)
+        assert np.array_equal(nanogs.load(tmp_path / f"{seed}.ply").means, expected.means)
+
+
+def test_demo_refuses_an_existing_file_before_it_makes_a_scene(tmp_path, monkeypatch, capsys):
+    (tmp_path / "a.ply").write_bytes(b"precious")
+    monkeypatch.setattr("nanogs.datasets.synthetic.make_scene", None)
+    assert run_here("demo", tmp_path / "a.ply", "-n", "500") == 2
+    assert "exists already; add -w to replace it." in capsys.readouterr().err
 
 
 def test_demo_names_what_the_format_leaves_out(tmp_path):

@@ -3,7 +3,9 @@
 import math
 import re
 import shlex
+import shutil
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -27,6 +29,7 @@ from nanogs.quantities import as_bytes, parse_bytes
 from nanogs.ranges import check_ranges, known_parameters, parameter
 from test_cli import assert_refused
 from test_cli_usability import run
+from viewer_bundle import require_bundle
 
 COMMANDS = get_command(app).commands
 
@@ -210,6 +213,147 @@ def test_every_example_can_be_parsed(name):
         program, command, *arguments = shlex.split(example)
         assert (program, command) == ("nanogs", name)
         COMMANDS[name].make_context(name, arguments)
+
+
+REACHED = {
+    "render a.ply out --views 3 --pixels 64x32 --up 0,0,1": (
+        "nanogs.views.cameras.chosen_cameras",
+        ["auto", 3, (64, 32), (0, 0, 1)],
+    ),
+    "render a.ply out --views 1 --pixels 32 --background #ff0000 --depth -w": (
+        "nanogs.views.pictures.render_images",
+        {"background": (1, 0, 0), "transparent": False, "depth": True, "overwrite": True},
+    ),
+    "render a.ply out --views 1 --pixels 32 --transparent": (
+        "nanogs.views.pictures.render_images",
+        {"transparent": True, "depth": False, "overwrite": False},
+    ),
+    "compare a.ply a.ply --views 3 --sizes 64x32,16 --cameras orbit,roam --up 0,0,1 --packed .spz"
+    " --sh-bits 4 --report page.html --no-interactive -w --render-mode mip --max-memory 1GB": (
+        "nanogs.scoring.run.compare_files",
+        {
+            "views": 3, "sizes": [(64, 32), (16, 16)], "cameras": "orbit,roam", "up": (0, 0, 1),
+            "packed": [".spz"], "format_options": {"sh_bits": 4}, "report": "page.html",
+            "interactive": False, "overwrite": True, "render_mode": "mip", "max_memory": 10**9,
+        },
+    ),
+    "compare a.ply a.ply --photos data --images images_4 --split train --background white"
+    " --metrics flip": (
+        "nanogs.scoring.run.compare_files",
+        {
+            "photos": "data", "images": "images_4", "split": "train", "background": (1, 1, 1),
+            "extras": ["flip"], "overwrite": False,
+        },
+    ),
+    "compare a.ply a.ply --mixed --budget 1k --views 3 --sizes 64x32 --cameras orbit --up 0,0,1"
+    " --background white --threads 1 --max-memory 1GB": (
+        "nanogs.scoring.mixed.compare_mixed",
+        {
+            "budget": 1000, "views": 3, "pixels": [(64, 32)], "cameras": "orbit", "up": (0, 0, 1),
+            "background": (1, 1, 1), "threads": 1, "max_memory": 10**9,
+        },
+    ),
+    "view a.ply n=a.ply -o page.html --views 3 --pixels 64x32 --cameras orbit --up 0,0,1"
+    " --background white --level 0 --render-mode mip --max-memory 1GB -w --no-open": (
+        "nanogs.scoring.viewing.view_files",
+        {
+            "views": 3, "width": 64, "height": 32, "cameras": "orbit", "up": (0, 0, 1),
+            "background": (1, 1, 1), "level": 0, "render_mode": "mip", "max_memory": 10**9,
+            "psnr": True, "overwrite": True,
+        },
+    ),
+    "info a.ply --views 3 --pixels 64x32 --cameras orbit --up 0,0,1 --threads 1 --max-memory 1GB": (
+        "nanogs.scoring.modes.render_findings",
+        {"views": 3, "pixels": (64, 32), "up": (0, 0, 1), "threads": 1, "max_memory": 10**9},
+    ),
+    "info a.ply --photos data --images images_4 --split train --background white": (
+        "nanogs.scoring.modes.render_findings",
+        {"photos": "data", "images": "images_4", "split": "train", "background": (1, 1, 1)},
+    ),
+    "info a.ply --packed .sog --palette 64 --bits 6 --threads 1 --max-memory 1GB": (
+        "nanogs.scoring.packing_cost.packing_cost",
+        {"format_options": {"palette": 64, "bits": 6}, "threads": 1, "max_memory": 10**9},
+    ),
+    "refit a.ply a.ply out.sog --device cuda": (
+        "nanogs.card.device.check_device",
+        ["cuda"],
+    ),
+    "refit a.ply a.ply out.sog --views 4 --pixels 32": (
+        "nanogs.fit.api.refit",
+        {"format": ".sog", "parameters": RefitParameters(views=4, size=32)},
+    ),
+    "refit a.ply a.ply out.ply --views 4 --cameras orbit --up 0,0,1 --pixels 32": (
+        "nanogs.pipeline.options.cameras.fit_cameras",
+        ["orbit", (0, 0, 1), 5, 32],  # one more view is held out
+    ),
+    "lod a.ply out/lod-meta.json --chunk 1k --chunk-min 10 --device auto --levels 0.5,0.1": (
+        "nanogs.cli.lod_run.write_levels_of_files",
+        ["StreamedSog(most=1000, least=10)", "device='auto'", "ratios=(0.5, 0.1)"],
+    ),
+    "lod a.ply out/tileset.json --plain --longitude 8 --latitude 47 --height 400 --heading 30"
+    " --pitch 2 --roll 3": (
+        "nanogs.cli.lod_run.write_levels_of_files",
+        ["packed=False", "place="],
+    ),
+    "simplify a.ply out.sog -r 0.5 --bits 6 --sh-bits 4 --spare-bits 1 --device auto --dry-run": (
+        "nanogs.cli.simplify_run.plan_run",
+        ["'bits': 6", "'sh_bits': 4", "'spare_bits': 1", "device='auto'"],
+    ),
+    "bench a.ply --ratios 0.5 --methods fast --ablations --metrics flip --views 3 --sizes 64,32"
+    " --cameras orbit,roam --seed 7 --threads 1 --render-mode mip": (
+        "nanogs.bench.run.run_bench",
+        [
+            "ratios=(0.5,)", "'default:steps=0'", "metrics=('flip',)", "views=3", "sizes=(64, 32)",
+            "kinds=('orbit', 'roam')", "seed=7", "threads=1", "render_mode='mip'",
+        ],
+    ),
+    "bench a.ply --up 0,0,1": ("nanogs.bench.run.run_bench", ["up=Direction(x=0.0, y=0.0, z=1.0)"]),
+    "bench --scene n=a.ply:data --background white": (
+        "nanogs.bench.run.run_bench",
+        ["background=(1.0, 1.0, 1.0)"],
+    ),
+    "studio a.ply --port 8123 --idle 5 --preset best --up 0,0,1 --render-mode mip --device auto"
+    " --threads 1 --max-memory 1GB": (
+        "nanogs.studio.server.Studio",
+        [
+            "preset='best'", "up='+z'", "render_mode='mip'", "device='auto'", "threads=1",
+            "max_memory=1000000000", "('port', 8123)", "('idle', 5.0)",
+        ],
+    ),
+    "warm --workers 3": ("nanogs.warming.warm", [3]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", REACHED)
+def test_options_reach_the_library(words, scene, tmp_path, monkeypatch, capsys):
+    """Of each command, by what a function of the library that it calls is given."""
+    function, expected = REACHED[words]
+    if words.startswith("view"):
+        require_bundle()
+    calls = []
+
+    def refuse(*arguments, **given):
+        calls.append((arguments, given))
+        raise OptionError("That is enough.")
+
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(scene, "a.ply")
+    (tmp_path / "data").mkdir()
+    monkeypatch.setattr(function, refuse)
+    assert run_here(*words.split()) == 2
+    assert "That is enough." in capsys.readouterr().err
+    [(arguments, given)] = calls
+    if isinstance(expected, dict):
+        found = {name: plain_path(given[name]) for name in expected}
+        assert found == expected
+    for value in expected if isinstance(expected, list) else ():
+        assert value in (
+            repr((arguments, list(given.items()))) if isinstance(value, str) else arguments
+        )
+
+
+def plain_path(value):
+    return str(value) if isinstance(value, Path) else value
 
 
 def test_every_parameter_with_a_help_is_an_option():

@@ -94,6 +94,7 @@ def test_render_mode_is_read_and_unknown_ones_are_noted(tmp_path, name, mode):
     model = io.load(path)
     assert model.render_mode == io.inspect(path).render_mode == mode
     assert len(model.notes) == (name == "new")
+    assert bool(io.inspect(path).render_tag) == (name != "new")
 
 
 def test_null_in_the_codebook_is_filled(tmp_path):
@@ -390,6 +391,7 @@ def test_a_model_without_levels_has_only_level_0(tmp_path):
         ({"filenames": ["1_0/meta.json", 5, "0_1/meta.json"]}, "below its own"),
         ({"filenames": ["1_0/meta.json"]}, "file must be an integer from 0 to 0"),
         ({"filenames": ["1_0/meta.json", "gone/meta.json", "0_1/meta.json"]}, "no such file"),
+        ({"filenames": ["0_0/meta.json", "0_1/meta.json", "0_1/meta.json"]}, "names a file twice"),
         ({"lodLevels": 1}, "lods must be an integer from 0 to 0"),
         ({"lodLevels": 0}, "lodLevels must be an integer"),
         ({"version": 2}, "newer version"),

@@ -312,6 +312,14 @@ def test_an_outlier_does_not_spoil_the_codebook():
     assert (np.diff(book) >= 0).all()
 
 
+@pytest.mark.parametrize("count", [255, 256, 257])
+def test_as_many_values_as_a_codebook_has_entries_are_kept(count):
+    values = np.sqrt(np.arange(count, dtype=np.float32))
+    book = codebook(values)
+    assert book.shape == (256,)
+    assert np.array_equal(book[nearest(values, book)], values) == (count <= 256)
+
+
 @given(seed=st.integers(0, 2**32 - 1), used=st.integers(0, 255))
 def test_bounds_below_each_value_are_counted(seed, used):
     from nanogs.kernels.quantise import count_lower
