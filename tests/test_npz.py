@@ -53,6 +53,18 @@ def test_the_file_size_is_known_before_writing(tmp_path, model):
     assert sizes == sorted(sizes)
 
 
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+@pytest.mark.parametrize("name", npz.REQUIRED)
+def test_a_checksum_that_does_not_fit_is_refused(tmp_path, name, save):
+    path = tmp_path / "a.npz"
+    save(path, **{each: getattr(random_splats(50), each) for each in npz.REQUIRED})
+    with zipfile.ZipFile(path) as archive:
+        stated = archive.getinfo(f"{name}.npy").CRC.to_bytes(4, "little")
+    path.write_bytes(path.read_bytes().replace(stated, bytes(4)))
+    with pytest.raises(FormatError, match="Bad CRC-32"):
+        io.load(path)
+
+
 def test_numpy_reads_saved_files_without_pickle(tmp_path):
     model = replace(random_splats(5, extras={"label": np.arange(5)}), render_mode=RenderMode.MIP)
     io.save(model, tmp_path / "a.npz")

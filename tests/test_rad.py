@@ -251,6 +251,25 @@ def test_values_that_bytes_would_hold_badly_are_stored_as_floats(tmp_path):
     assert head["maxSh"] == 1
 
 
+def test_the_ranges_for_a_viewer_leave_out_only_the_ends(tmp_path):
+    model = random_splats(4000, degree=3)
+    model.sh[:, 0] *= 3
+    for values_of_all in (model.sh, model.log_scales):
+        values_of_all[0] *= 9
+    io.save(model, tmp_path / "a.rad")
+    head, [(header, _)] = radfiles.parse_rad((tmp_path / "a.rad").read_bytes())
+    ranges = head["splatEncoding"]
+    assert ranges == header["splatEncoding"]
+    assert ranges["lodOpacity"] is False
+    colours = np.percentile(model.sh[:, 0] * C0 + 0.5, (0.5, 99.5))
+    assert [ranges["rgbMin"], ranges["rgbMax"]] == pytest.approx(colours, abs=0.02)
+    logs = np.percentile(model.log_scales, (0.5, 99.5))
+    assert [ranges["lnScaleMin"], ranges["lnScaleMax"]] == pytest.approx(logs, abs=0.01)
+    for band in (1, 2, 3):
+        most = np.percentile(np.abs(model.sh[:, band**2 : (band + 1) ** 2]), 99.5)
+        assert ranges[f"sh{band}Max"] == pytest.approx(most, abs=0.05)
+
+
 def test_models_of_several_chunks_are_read_and_written_in_parts(tmp_path):
     model = random_splats(140_000, degree=1, seed=4)
     io.save(model, tmp_path / "a.ply")

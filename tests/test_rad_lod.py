@@ -124,6 +124,9 @@ def test_rows_are_in_the_order_that_spark_requires(tree_path):
     named = np.concatenate([np.arange(starts[i], starts[i] + counts[i]) for i in inner])
     np.testing.assert_array_equal(np.sort(named), np.arange(1, len(counts)))
     assert np.all(np.diff(starts[inner]) > 0)
+    assert not starts[counts == 0].any()
+    head, _ = radfiles.parse_rad(tree_path.read_bytes())
+    assert head["splatEncoding"]["lodOpacity"] is True
 
 
 def test_each_level_can_be_read(model, tree_path):
