@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from builders import random_splats
@@ -69,3 +70,18 @@ def test_the_third_axis_of_flat_splats_stays_their_normal(tmp_path, name):
         for each in (model, again)
     ]
     assert np.abs((normals[0] * normals[1]).sum(axis=1)).min() > 0.99
+
+
+@pytest.mark.parametrize("suffix", [".rad", ".sog"])
+def test_files_keep_the_third_axis_of_surfels(tmp_path, suffix):
+    """It is their normal; rotations of other models may be written with the axes in any order."""
+    model = replace(random_splats(300), render_mode=RenderMode.SURFEL)
+    io.save(model, tmp_path / f"a{suffix}")
+    found = io.load(tmp_path / f"a{suffix}")
+    assert found.render_mode is RenderMode.SURFEL
+    _, rows = cKDTree(found.means).query(model.means)
+    normals = [
+        Rotation.from_quat(each.quats[:, [1, 2, 3, 0]]).as_matrix()[:, :, 2]
+        for each in (model, found.take(rows))
+    ]
+    assert (np.abs((normals[0] * normals[1]).sum(axis=1)) > 0.99).all()

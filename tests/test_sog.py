@@ -16,6 +16,7 @@ from damage import outcome
 from launch import run as cli
 from nanogs import io
 from nanogs.errors import FormatError, OptionError
+from nanogs.io.sog.chunks import read_chunks
 from nanogs.splats import RenderMode
 from strategies import assert_same
 from test_convert import run
@@ -351,6 +352,17 @@ def test_levels_are_read_one_at_a_time(streamed):
     assert result.returncode == 0, result.stderr
     assert "note: Level 1 of 2 was read; level 0 is the finest." in result.stderr
     assert colours(io.load(path.parent / "coarse.ply")) == [(3, 0), (3, 1)]
+
+
+def test_rows_of_regions_are_those_of_the_level_that_is_read(streamed):
+    """The tree may name the regions in any order; a level is read file by file."""
+    box = {"bound": {"min": [0, 0, 0], "max": [1, 2, 3]}}
+    leaves = [leaf(_0=(2, 1, 2), _1=(0, 0, 2)), leaf(_0=(1, 0, 3)), leaf(_0=(2, 0, 1))]
+    path = streamed(tree={"children": [each | box for each in leaves]})
+    found = read_chunks(path)
+    assert found.starts.tolist() == [[4, 0], [0, 0], [3, 0]]
+    assert found.counts.tolist() == [[2, 2], [3, 0], [1, 0]]
+    assert colours(io.load(path))[4:] == [(2, 1), (2, 2)]
 
 
 @pytest.mark.parametrize("bundled", [False, True], ids=["folder", ".sog"])
