@@ -307,6 +307,20 @@ REACHED = {
             "kinds=('orbit', 'roam')", "seed=7", "threads=1", "render_mode='mip'",
         ],
     ),
+    "convert a.ply out.sog --level 0 --frame rub:rdf --scale 2 --rotate 0,0,90 --translate 1,2,3"
+    " --sh-degree 1 --render-mode mip --bits 6 --max-memory 1GB -w": (
+        "nanogs.conversion.convert",
+        {
+            "level": 0, "frame": ("rub", "rdf"), "scale": 2, "rotate": (0, 0, 90),
+            "translate": (1, 2, 3), "sh_degree": 1,
+            "render_mode": "mip", "format_options": {"bits": 6}, "max_memory": 10**9,
+            "overwrite": True,
+        },
+    ),
+    "bench --dataset deep-blending=data --model-pattern {folder}/{scene}.ply": (
+        "nanogs.bench.scenes.parse_dataset",
+        ["deep-blending=data", "{folder}/{scene}.ply"],
+    ),
     "bench a.ply --up 0,0,1": ("nanogs.bench.run.run_bench", ["up=Direction(x=0.0, y=0.0, z=1.0)"]),
     "bench --scene n=a.ply:data --background white": (
         "nanogs.bench.run.run_bench",

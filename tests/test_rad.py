@@ -206,6 +206,11 @@ def test_long_comments_beyond_ascii_are_read_back(tmp_path):
     assert list(io.load(tmp_path / "a.rad").comments) == lines
 
 
+def test_lines_of_a_comment_may_end_as_on_windows(tmp_path):
+    data = rad([chunk(typical_columns(3)[0], 3)], 3, comment="one\r\ntwo")
+    assert read(tmp_path, data).comments == ("one", "two")
+
+
 def test_comments_that_could_not_be_read_back_are_refused_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr(write, "_chunks", None)
     with pytest.raises(OutputError, match="no more than 1048576 can be read back; shorten the com"):

@@ -481,6 +481,13 @@ def test_a_cropped_view_has_the_pixels_of_the_whole():
     assert np.abs(render(splats, alone).color - some.color).max() > 1e-3
 
 
+def test_a_cropped_view_stays_the_same_part_of_its_whole():
+    camera = make_camera(width=64, height=48)
+    part = camera.cropped(16, 8, 32, 16)
+    assert part.cropped(1, 2, 3, 4).whole == part.whole == (camera.cx, camera.cy, 64, 48)
+    assert part.resized(64, 48).whole == (2 * camera.cx, 3 * camera.cy, 128, 144)
+
+
 def test_a_cropped_view_is_reduced_like_the_whole():
     splats = make_splats(200, 5, size=0.5, spread=2.0)
     camera = make_camera(128, 96, 40.0)
