@@ -22,6 +22,11 @@ def test_psnr_of_a_known_difference():
     assert psnr(black, black + 25.5, data_range=255) == pytest.approx(20)
 
 
+def test_differences_of_images_in_half_precision_are_not_rounded():
+    a, b = (image.astype(np.float16) for image in (IMAGE, NOISY))
+    assert psnr(a, b) == psnr(a.astype(np.float64), b.astype(np.float64))
+
+
 def test_psnr_of_equal_images_is_infinite():
     assert psnr(IMAGE, IMAGE.copy()) == math.inf
 

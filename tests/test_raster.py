@@ -14,12 +14,15 @@ import nanogs
 from nanogs.errors import OptionError
 from nanogs.kernels import harmonics, listing, raster
 from nanogs.kernels import project as project_kernels
-from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import SURFEL_NOTE, blend, prepare, project, render
+from nanogs.raster.camera import Camera, pick_evenly, split_evenly
+from nanogs.raster.rendering import SURFEL_NOTE, blend, clipped, prepare, project, render
 from nanogs.splats import RenderMode, Splats
 from reference_raster import render_reference, sh_basis
 
 TOLERANCE = 1e-4
+
+
+LETTERS = "abcdefghij"
 
 
 def make_camera(width=37, height=21, focal=30.0, **changes):
@@ -342,6 +345,7 @@ def test_asking_for_depth_and_contributions_changes_no_colour():
         make_camera(near=0.0),
         make_camera(world_to_camera=np.full((4, 4), np.nan)),
         make_camera(world_to_camera=np.eye(3)),
+        make_camera(world_to_camera=np.diag([1.02, 1.02, 1.02, 1])),
         make_camera(whole=(32.0, math.nan, 64.0, 64.0)),
         make_camera(whole=(32.0, 32.0, 64.0, 0.0)),
         [make_camera()],
@@ -479,6 +483,20 @@ def test_a_cropped_view_has_the_pixels_of_the_whole():
     assert whole.alpha[48:80, 16:48].any()
     alone = dataclasses.replace(part, whole=None)
     assert np.abs(render(splats, alone).color - some.color).max() > 1e-3
+
+
+def test_colours_are_shown_within_the_range_of_a_screen():
+    values = np.array([np.nan, -1, 0.5, 2, np.inf], np.float32)
+    assert clipped(values).tolist() == [0, 0, 0.5, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("count", "picked"), [(0, ""), (1, "f"), (2, "ch"), (3, "bfi"), (9, "abcdfghij"), (99, LETTERS)]
+)
+def test_items_are_picked_evenly_with_the_same_room_at_both_ends(count, picked):
+    assert "".join(pick_evenly(LETTERS, count)) == picked
+    kept, others = split_evenly(LETTERS, count)
+    assert ("".join(kept), {*kept, *others}) == (picked, {*LETTERS})
 
 
 def test_a_cropped_view_stays_the_same_part_of_its_whole():

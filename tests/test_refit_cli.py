@@ -44,6 +44,14 @@ def test_command_fits_and_reports(files, tmp_path):
     assert "128 px" in result.stderr, "what each group of views gained"
 
 
+def test_what_the_format_leaves_out_is_noted(files, tmp_path):
+    arguments = [files / "original.ply", files / "small.ply", tmp_path / "out.splat"]
+    result = run("refit", *arguments, "--views", "2", "--pixels", "32", "--rounds", "1")
+    assert result.returncode == 0
+    assert "note: Spherical harmonics" in result.stderr
+    assert "32 px" not in result.stderr, "only with -v"
+
+
 def test_given_cameras_set_the_size_of_the_views(files, tmp_path):
     cameras = automatic_cameras(nanogs.load(files / "original.ply"), 8, width=64, height=48)
     poses = [np.linalg.inv(each.world_to_camera) * [1, -1, -1, 1] for each in cameras]

@@ -189,11 +189,12 @@ def test_refit_and_view_use_the_requested_render_mode(tmp_path, models, small_vi
     from nanogs.view.bundle import is_built
 
     right, wrong = models
-    run_json(
+    fitted = run_json(
         "refit", right, wrong, tmp_path / "a.ply", "--render-mode", "default", "--views", "2",
         "--pixels", "32", "--rounds", "1",
     )  # fmt: skip
     assert nanogs.load(tmp_path / "a.ply").render_mode is DEFAULT
+    assert fitted["notes"][0].startswith(f"{wrong}: The render mode is default, as requested")
     if is_built():
         report = run_json(
             "view", right, tmp_path / "a.ply", "-o", tmp_path / "a.html", "--no-open",
