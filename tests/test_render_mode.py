@@ -19,6 +19,7 @@ from nanogs.splats import RenderMode
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.plan import LEAST
 from nanogs.views.streamed import drawable, renderings
+from viewer_bundle import require_bundle
 
 DEFAULT, MIP = RenderMode.DEFAULT, RenderMode.MIP
 OTHER = {DEFAULT: MIP, MIP: DEFAULT}
@@ -201,6 +202,29 @@ def test_refit_and_view_use_the_requested_render_mode(tmp_path, models, small_vi
             "--render-mode", "mip", "--no-psnr",
         )  # fmt: skip
         assert all(has_override_note(model["notes"]) for model in report["models"])
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "info {wrong}",
+        "convert {wrong} out.spz",
+        "simplify {wrong} out.ply -r 0.5 --preset fast",
+        "lod {wrong} levels --preset fast",
+        "refit {right} {wrong} out.ply --views 2 --pixels 32 --rounds 1",
+        "render {wrong} out --views 1 --pixels 32",
+        "compare {right} {wrong} --views 1 --pixels 32",
+        "view {wrong} -o out.html --no-open",
+    ],
+)
+def test_every_command_prints_the_notes_on_its_inputs(tmp_path, models, words):
+    if words.startswith("view"):
+        require_bundle()
+    arguments = words.format(right=models[0], wrong=models[1]).split()
+    result = run(*arguments, "--render-mode", "default", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    noted = [line for line in result.stderr.splitlines() if line.startswith("note: ")]
+    assert any("The render mode is default, as requested;" in line for line in noted), noted
 
 
 def test_2dgs_models_can_be_read_as_default_but_not_as_mip(tmp_path, models):

@@ -12,6 +12,8 @@ from nanogs.errors import ModelError, OptionError
 from nanogs.raster.rendering import render
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras, unit_up
+from nanogs.views.inside import is_room
+from nanogs.views.occupancy import find_core, sample
 from nanogs.views.poses import look_along, look_at, low_discrepancy
 
 SCENE = make_scene(6_000)
@@ -183,6 +185,14 @@ def test_rooms_are_seen_from_inside_and_objects_from_outside():
         assert (np.abs(camera.position) > (3.0, 1.5, 2.0)).any()
 
 
+def test_an_empty_box_and_a_walled_yard_are_no_rooms():
+    ground = np.random.default_rng(0).uniform(-1, 1, (15_000, 3)) * (3.0, 0, 2.0) + (0, 1.5, 0)
+    yard = np.concatenate([room(), ground])
+    for points, expected in ((room(), True), (room()[:12_000], False), (yard, False)):
+        sampled = sample(cloud(points))
+        assert is_room(sampled, find_core(sampled), np.array([0.0, -1, 0])) == expected
+
+
 def test_a_turned_room_is_still_a_room():
     turn = np.array([[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]])
     for camera in automatic_cameras(cloud(room() @ turn.T), 4):
@@ -196,6 +206,12 @@ def test_cameras_inside_keep_a_distance_from_walls():
         ahead = (z > 0) & ((uv > 0) & (uv < 512)).all(axis=1)
         distance = np.linalg.norm(points[ahead] - camera.position, axis=1)
         assert np.quantile(distance, 0.05) > 0.5
+
+
+def test_cameras_inside_look_along_the_room_and_not_at_the_table_before_them():
+    model = cloud(room(30_000), size=0.04)
+    for camera in automatic_cameras(model, 6, width=64, height=64):
+        assert np.median(render(model, camera, depth=True).depth) > 1.5
 
 
 def test_a_wall_beside_the_object_does_not_block_the_view():
