@@ -43,6 +43,15 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_bytes_are_on_the_disk_before_the_file_has_its_name(target, monkeypatch, overwrite):
+    """Otherwise a power cut could leave an empty file under the name."""
+    synced = []
+    monkeypatch.setattr("os.fsync", lambda _file: synced.append(target.exists()))
+    write_file(target, overwrite=overwrite)
+    assert (synced, target.read_bytes()) == ([False], b"new")
+
+
 def test_the_file_appears_and_no_other_file(target):
     write_file(target)
     assert target.read_bytes() == b"new"

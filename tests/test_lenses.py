@@ -226,6 +226,8 @@ def test_the_command_notes_that_distortion_is_ignored(tmp_path):
     assert result.returncode == 0, result.stderr
     assert "lens distortion of 1 camera is ignored" in result.stderr
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["v.png"]
+    looking = run("info", tmp_path / "a.ply", "--cameras", cameras)
+    assert "note: The lens distortion of 1 camera is ignored" in looking.stderr
     result = run("compare", tmp_path / "a.ply", tmp_path / "a.ply", "--cameras", cameras, "--json")
     assert any(
         "lens distortion of 1 camera " in note for note in json.loads(result.stdout)["notes"]

@@ -321,3 +321,26 @@ def test_a_curve_keeps_no_model_alive(suffix, tmp_path):
     assert held() is None
     smaller = splats.with_sh_degree(1).take(slice(0, 100))
     assert curve.bytes_of(100) == encoded_bytes(smaller, tmp_path / f"out{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("goal", "near"),
+    [
+        ({"psnr": 30.0}, True),
+        ({"psnr": 30.1}, False),
+        ({"psnr": 29.6}, False),
+        ({"size": 1000}, True),
+        ({"size": 1030}, True),
+        ({"size": 999}, False),
+        ({"size": 1040}, False),
+        ({"ratio": 0.5}, True),
+    ],
+)
+def test_a_result_is_near_if_it_meets_the_goal_and_exceeds_it_little(goal, near):
+    assert asking._near(Goal(**goal), Point(50, 1000, 30.0, coarse=False)) == near
+
+
+def test_of_several_results_the_nearest_that_meets_the_goal_is_shown():
+    points = [Point(count, 10 * count, count / 2, coarse=False) for count in (50, 58, 62, 70)]
+    for goal, count in ((Goal(psnr=30), 62), (Goal(size=605), 58), (Goal(psnr=99), 70)):
+        assert min(points, key=lambda point: asking._miss(goal, point)).count == count

@@ -125,6 +125,19 @@ def test_localhost_is_accepted_as_host_name(studio):
     assert studio.request("POST", "ask", ASK, headers=names)[0] == 200
 
 
+@pytest.mark.parametrize(("times", "status"), [(1, 200), (2, 421)])
+def test_a_second_host_name_is_refused(times, status):
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    headers = [(b"host", b"localhost:8080")] * times
+    scope = {"type": "http", "method": "GET", "path": "/token/", "headers": headers}
+    asyncio.run(Guard(PlainTextResponse("here"), "token", 8080)(scope, None, send))
+    assert sent[0]["status"] == status
+
+
 @pytest.mark.parametrize(("port", "status"), [(80, 200), (8080, 421)])
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 @pytest.mark.parametrize("method", ["GET", "POST"])
