@@ -276,6 +276,20 @@ def test_a_save_in_blocks_that_is_cancelled_leaves_no_job(tmp_path, monkeypatch,
     )
 
 
+@pytest.mark.parametrize("limit", [None, 10**9])
+def test_a_save_with_a_limit_on_memory_frees_the_model_first(tmp_path, limit, monkeypatch):
+    nanogs.save(random_splats(500), tmp_path / "scene.ply")
+    scene, studio = scene_of(tmp_path / "scene.ply"), StudioSettings(max_memory=limit)
+    asked = choice_of({"wish": {"splats": 100}, "preset": "fast"})
+    freed = []
+    monkeypatch.setattr(WorkerCache, "forget", lambda _cache: freed.append(True))
+    saving.save(
+        SaveRequest(scene, studio, asked, tmp_path / "a.ply"),
+        WorkerCache(scene, studio), lambda _: None,
+    )  # fmt: skip
+    assert len(freed) == (limit is not None)
+
+
 def test_a_save_leaves_the_job_of_a_command_alone(tmp_path):
     nanogs.save(random_splats(500), tmp_path / "scene.ply")
     output = tmp_path / "a.ply"

@@ -18,8 +18,8 @@ from nanogs.io import encoded_bytes, save
 from nanogs.pipeline.options.target import Goal
 from nanogs.studio import asking, showing
 from nanogs.studio.asking import QUICK, TRIES, UNSEEN, RequestHandler
-from nanogs.studio.cache import FilteredScene, WorkerCache
-from nanogs.studio.choice import Choice, choice_of
+from nanogs.studio.cache import FilteredScene, WorkerCache, grown_key
+from nanogs.studio.choice import Choice, FilterChoice, choice_of
 from nanogs.studio.curve import Curve, Point
 from nanogs.studio.scene import StudioSettings
 from nanogs.views.opening import opening_for
@@ -91,6 +91,21 @@ def answers(forest):
         fully=lambda choice, progress: forest, curve=lambda choice, grown: curve,
     )  # fmt: skip
     return RequestHandler(answer_state, opening_for(forest.splats))
+
+
+def test_a_draft_has_the_harmonics_that_are_asked_for(answers, forest, monkeypatch):
+    degrees = []
+
+    def show(splats, *more):
+        degrees.append(splats.sh_degree)
+        return showing.show(splats, *more)
+
+    monkeypatch.setattr(asking, "show", show)
+    forest.go_on.set()
+    forest.splats = replace(forest.splats, sh=np.zeros((len(forest.splats), 4, 3), np.float32))
+    for number, more in enumerate(({}, {"sh_degree": 0}), 1):
+        answers.sooner(choice_of({"wish": {"splats": 50}} | more), RecordingJob(number))
+    assert degrees == [1, 0]
 
 
 def test_a_newer_request_gets_its_draft_while_an_older_one_is_measured(answers, forest):
@@ -344,3 +359,20 @@ def test_of_several_results_the_nearest_that_meets_the_goal_is_shown():
     points = [Point(count, 10 * count, count / 2, coarse=False) for count in (50, 58, 62, 70)]
     for goal, count in ((Goal(psnr=30), 62), (Goal(size=605), 58), (Goal(psnr=99), 70)):
         assert min(points, key=lambda point: asking._miss(goal, point)).count == count
+
+
+@pytest.mark.parametrize(
+    ("change", "anew"),
+    [
+        ({"preset": "best"}, True),
+        ({"sh_degree": 0}, True),
+        ({"up": "+z"}, True),
+        ({"render_mode": "mip"}, True),
+        ({"filters": FilterChoice(min_opacity=0.1)}, True),
+        ({"goal": Goal(count=8)}, False),
+        ({"format": ".sog"}, False),
+    ],
+)
+def test_a_forest_is_grown_anew_for_what_changes_it(change, anew):
+    choice = Choice(goal=Goal(count=9), format=".ply")
+    assert (grown_key(replace(choice, **change)) != grown_key(choice)) == anew
