@@ -46,6 +46,11 @@ def folder(tmp_path_factory):
         (["--cameras", "cams.json", "--sizes", "64"], "--sizes"),
         (["--cameras", "cams.json", "--up", "0,0,1"], "--up"),
         (["--mixed", "--split", "train"], "--split"),
+        (["--mixed", "--render-mode", "mip"], "--render-mode"),
+        (["--mixed", "--metrics", "flip"], "--metrics"),
+        (["--mixed", "--packed", ".spz"], "--packed"),
+        (["--mixed", "--report", "page.html"], "--report"),
+        (["--mixed", "--device", "auto"], "--device"),
         (["--mixed", "--cameras", "cams.json", "--views", "2"], "--views"),
     ],
 )
