@@ -23,17 +23,15 @@ from nanogs.pipeline.options.presets import PRESETS, SEARCHED_STEPS, parameters,
 from nanogs.pipeline.options.settings import brief
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
+from nanogs.pipeline.search.choose_packing import SLOPES, choose_packing, slope_of
 from nanogs.pipeline.search.files import HeldFiles
 from nanogs.pipeline.search.packing import (
     FIRST_PER_ENTRY,
     LARGER,
-    SLOPES,
     SMALLER,
     Bits,
     Choices,
     Packing,
-    choose_packing,
-    slope_of,
     unseen_packing,
 )
 from nanogs.pipeline.search.size_request import SizeRequest

@@ -8,16 +8,10 @@ from typing import Any, Generic
 from nanogs.io.limits import degree_left_out
 from nanogs.pipeline.estimates.stage_weights import PACKINGS
 from nanogs.pipeline.options.target import count_for_size
+from nanogs.pipeline.search.choose_packing import MeasureFiles, choose_packing, slope_of
 from nanogs.pipeline.search.file_size import guess_count
 from nanogs.pipeline.search.files import Files
-from nanogs.pipeline.search.packing import (
-    Choices,
-    MeasureFiles,
-    Packing,
-    choose_packing,
-    slope_of,
-    unseen_packing,
-)
+from nanogs.pipeline.search.packing import Choices, Packing, unseen_packing
 from nanogs.pipeline.search.results import Results, T
 from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.progress import Stage, Tracker
