@@ -25,6 +25,7 @@ SAVED = 1.2  # first count over the guess: there is room, because coarser bits a
 NEAR, NEAR_BITS = 0.12, 0.03
 # dB by which a degree or palette may be behind, unfitted, and still be tried.
 BEHIND = 1.5
+STEEPER = 1.5  # times the slope that bits were compared with, from which they are compared again
 FINE = 0.25  # dB by which a packing may be behind the best and still be tried with other bits
 
 MeasureFile = Callable[[Packing], PackingReport]
@@ -100,6 +101,7 @@ class _Search:
         found: Files by packing without bits (degree and splats per entry), then by their bits.
         promising: Lower degrees that are not far behind although no result was fitted for them.
         smaller: Whether a smaller palette is not far behind either, so that it is tried.
+        compared_at: The slope that bits were last compared with.
     """
 
     choices: Choices
@@ -112,6 +114,7 @@ class _Search:
     probes: list[PackingReport] = field(default_factory=list)
     promising: list[int] = field(default_factory=list)
     smaller: bool = False
+    compared_at: float = math.inf
 
     def begin(self) -> Packing:
         """Make the first result, and find the best bits for it."""
@@ -162,9 +165,10 @@ class _Search:
             if best.bits in made or not self._is_far(before, near):
                 return best
             made.add(best.bits)
-            [after] = self._alone(best, self._filling(before))
-            files[best.bits] = after
-            less, more = sorted((before, after), key=lambda each: each.bytes)
+            probes = self._again(best, self._filling(before))
+            new = {self._bits_of(probe): probe for probe in probes}
+            files |= {bits: probe for bits, probe in new.items() if bits not in made - {best.bits}}
+            less, more = sorted((before, probes[0]), key=lambda each: each.bytes)
             if more.bytes > (1 + NEAR_BITS) * less.bytes:
                 self.slope = max(self.slope, slope_of(self.choices, less, more))
 
@@ -174,7 +178,13 @@ class _Search:
         over, slope = self._over(file), self.slope
         if over > 0 and bits not in made and packing.per_entry is None:
             slope = SLOPES[0]  # the loss from fewer splats is not measured yet
-        return self.choices.quality(file) - slope * over
+        if not self._is_steep:
+            return self.choices.quality(file) - slope * over
+        # More splats diminish only the loss from missing ones, which is at most the least measured.
+        loss = self.choices.loss(file)
+        missing = min(self.choices.loss(each) for each in self.probes if each.count <= file.count)
+        loss += missing * math.expm1(slope * over * math.log(10) / 10)
+        return -10 * math.log10(loss) if loss > 0 else math.inf
 
     def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
         """Try packings in order while each is better than the last, and return the best."""
@@ -246,6 +256,8 @@ class _Search:
 
     def _keep(self, packing: Packing, probes: Sequence[PackingReport]) -> Packing:
         self.found[_plain(packing)] = {self._bits_of(probe): probe for probe in probes}
+        if len(probes) > 1:
+            self.compared_at = self.slope
         return self._best(packing)
 
     def _best(self, packing: Packing) -> Packing:
@@ -330,10 +342,26 @@ class _Search:
         self.probes += probes
         return probes
 
-    def _alone(self, packing: Packing, count: int) -> list[PackingReport]:
-        """Make a result of another count for a packing that was tried, and measure one file."""
+    @property
+    def _is_steep(self) -> bool:
+        """Whether splats gain much more than was believed when bits were compared."""
+        return self.slope > STEEPER * self.compared_at
+
+    def _again(self, packing: Packing, count: int) -> list[PackingReport]:
+        """Make a result of another count for a packing that was tried, and measure its file.
+
+        If splats gain much more than was believed, files with one bit more or fewer follow.
+        """
         packing = self.again(packing)
-        return self._tried(packing, count, lambda measure: [measure(packing)])
+        near = [
+            replace(packing, bits=tuple((dict(packing.bits) | {name: value}).items()))
+            for name, each in self.choices.bits.items()
+            for way in each.ways(dict(packing.bits)[name])
+            for value in way[:1]
+            if self._is_steep
+        ]
+        near = [replace(each, derived_options=()) for each in near]
+        return self._tried(packing, count, lambda measure: [*map(measure, [packing, *near])])
 
     def _expected(self, packing: Packing) -> int:
         """Estimate the count that fills the size, from those for the model's own splats."""

@@ -112,6 +112,10 @@ class Choices:
         """Return the quality of a file, dB."""
         return found.psnr if self.by_psnr else quality(found.psnr, found.ssim)
 
+    def loss(self, found: PackingReport) -> float:
+        """Return the quality of a file as an error like the mean squared error of its PSNR."""
+        return 10 ** (-self.quality(found) / 10)
+
     @property
     def any(self) -> bool:
         """Whether there is anything to choose."""
