@@ -83,13 +83,13 @@ def test_wrong_ratios_are_refused(text):
 
 def test_more_than_the_whole_in_per_cent_is_refused_as_it_was_typed():
     assert parsing.parse_ratio("100%") == 1
-    with pytest.raises(OptionError, match=r"^A share is at most 100%, not '101 %'\.$"):
+    with pytest.raises(OptionError, match=r"^A ratio or share is at most 100%, not '101 %'\.$"):
         parsing.parse_ratio("101 %")
 
 
 @pytest.mark.parametrize("text", ["", "1", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "0,-inf,0"])
 def test_what_is_not_three_numbers_is_refused_as_it_was_typed(text):
-    with pytest.raises(OptionError, match=f"^Three numbers are needed, .* not '{text}'"):
+    with pytest.raises(OptionError, match=f"^Three finite numbers are needed, .* not '{text}'"):
         parsing.parse_vector(text)
 
 
@@ -132,7 +132,7 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
     ("arguments", "fragments"),
     [
         (["b.ply", "-r", "ten"], ["0.1 or 10%", "'ten'"]),
-        (["b.ply", "--draw-cost", "half"], ["A share is like 0.1 or 10%, not 'half'"]),
+        (["b.ply", "--draw-cost", "half"], ["A ratio or share is like 0.1 or 10%, not 'half'"]),
         (["b.ply", "--count", "1.5"], ["100k", "'1.5'"]),
         (["b.ply", "-r", "0.1", "--threads", "x"], ["--threads takes a whole number, not 'x'"]),
         (["b.ply", "-r", "0.1", "--threads", "0"], ["--threads takes 1 or more, not '0'"]),

@@ -43,7 +43,7 @@ def parse_vector(text: object) -> Vector:
     except ValueError:
         x = y = z = math.nan
     if not all(map(math.isfinite, (x, y, z))):
-        raise OptionError(f"Three numbers are needed, such as 0,90,0, not {text!r}.")
+        raise OptionError(f"Three finite numbers are needed, such as 0,90,0, not {text!r}.")
     return Vector(x, y, z)
 
 
@@ -189,9 +189,9 @@ def parse_ratio(text: str) -> float:
     match = re.fullmatch(rf"({number})\s*(%?)", text.strip().lower())
     ratio = Fraction(match[1]) / (100 if match[2] else 1) if match else None
     if ratio is None or ratio > sys.float_info.max:
-        raise OptionError(f"A share is like 0.1 or 10%, not {text!r}.")
+        raise OptionError(f"A ratio or share is like 0.1 or 10%, not {text!r}.")
     if match and match[2] and ratio > 1:
-        raise OptionError(f"A share is at most 100%, not {text!r}.")
+        raise OptionError(f"A ratio or share is at most 100%, not {text!r}.")
     return float(ratio)
 
 

@@ -166,7 +166,7 @@ class Packer(Generic[T]):
     def _attempt(
         self, packing: Packing, count: int, measure_files: MeasureFiles
     ) -> list[PackingReport]:
-        """Make a result of `count` splats and measure files of it; see `packing.MakeAndMeasure`."""
+        """Make a result of a count and measure its files; see `choose_packing.MakeAndMeasure`."""
         count = self.deliverable(count)
         some = self.results_for(packing)
         brief = some.brief()
