@@ -1,6 +1,8 @@
 """Values that options accept, the errors for others, and the help."""
 
+import importlib
 import math
+import pkgutil
 import re
 import shlex
 import shutil
@@ -338,6 +340,15 @@ REACHED = {
 }  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def all_imported():
+    """Modules that are first imported while a function is replaced would keep the replacement."""
+    for module in pkgutil.walk_packages(nanogs.__path__, "nanogs."):
+        if not module.name.endswith("__main__") and ".card." not in module.name:  # that needs Warp
+            importlib.import_module(module.name)
+
+
+@pytest.mark.usefixtures("all_imported")
 @pytest.mark.parametrize("words", REACHED)
 def test_options_reach_the_library(words, scene, tmp_path, monkeypatch, capsys):
     """Of each command, by what a function of the library that it calls is given."""
