@@ -93,6 +93,11 @@ def _plain(packing: Packing) -> Packing:
     return replace(packing, bits=(), derived_options=())
 
 
+def _with_bits(packing: Packing, name: str, value: int) -> Packing:
+    bits = tuple((dict(packing.bits) | {name: value}).items())
+    return replace(packing, bits=bits, derived_options=())
+
+
 @dataclass(slots=True)
 class _Search:
     """A search for the best packing, with the files that it has measured.
@@ -164,10 +169,10 @@ class _Search:
             before = files[best.bits]
             if best.bits in made or not self._is_far(before, near):
                 return best
-            made.add(best.bits)
             probes = self._again(best, self._filling(before))
             new = {self._bits_of(probe): probe for probe in probes}
-            files |= {bits: probe for bits, probe in new.items() if bits not in made - {best.bits}}
+            files |= {bits: probe for bits, probe in new.items() if bits not in made}
+            made.add(best.bits)
             less, more = sorted((before, probes[0]), key=lambda each: each.bytes)
             if more.bytes > (1 + NEAR_BITS) * less.bytes:
                 self.slope = max(self.slope, slope_of(self.choices, less, more))
@@ -178,11 +183,10 @@ class _Search:
         over, slope = self._over(file), self.slope
         if over > 0 and bits not in made and packing.per_entry is None:
             slope = SLOPES[0]  # the loss from fewer splats is not measured yet
-        if not self._is_steep:
-            return self.choices.quality(file) - slope * over
-        # More splats diminish only the loss from missing ones, which is at most the least measured.
-        loss = self.choices.loss(file)
-        missing = min(self.choices.loss(each) for each in self.probes if each.count <= file.count)
+        loss = missing = self.choices.loss(file)
+        if self._is_steep:  # then what more splats diminish is at most the least loss measured
+            counted = (probe for probe in self.probes if probe.count <= file.count)
+            missing = min(map(self.choices.loss, counted))
         loss += missing * math.expm1(slope * over * math.log(10) / 10)
         return -10 * math.log10(loss) if loss > 0 else math.inf
 
@@ -291,7 +295,6 @@ class _Search:
             near: Whether other bits are tried only if the file is near the size, since otherwise
                 another result is made, and not far behind the best.
         """
-        chosen = dict(packing.bits)
         usual = self.choices.first.per_entry
         larger = usual is not None and (packing.per_entry is None or packing.per_entry < usual)
         best = measure(packing)
@@ -299,19 +302,16 @@ class _Search:
         if near and (self._is_far(best) or self._worth(best) < self._most - FINE):
             return probes
         for name, each in self.choices.bits.items():
-            began = chosen[name]
+            began = dict(packing.bits)[name]
             for way in each.ways(began, finer=larger) if lower or larger else ():
                 for value in way:
-                    changed = chosen | {name: value}
-                    probes.append(
-                        measure(replace(packing, bits=tuple(changed.items()), derived_options=()))
-                    )
+                    changed = _with_bits(packing, name, value)
+                    probes.append(measure(changed))
                     if self._worth(probes[-1]) <= self._worth(best):
                         break
-                    best, chosen = probes[-1], changed
-                if chosen[name] != began:
+                    best, packing = probes[-1], changed
+                if dict(packing.bits)[name] != began:
                     break
-        packing = replace(packing, bits=tuple(chosen.items()))
         if lower and packing.sharing:
             probes.append(measure(replace(packing, per_entry=SMALLER[0])))
         for degree in reversed(self.choices.degrees[:-1]) if lower else ():
@@ -353,15 +353,11 @@ class _Search:
         If splats gain much more than was believed, files with one bit more or fewer follow.
         """
         packing = self.again(packing)
-        near = [
-            replace(packing, bits=tuple((dict(packing.bits) | {name: value}).items()))
-            for name, each in self.choices.bits.items()
-            for way in each.ways(dict(packing.bits)[name])
-            for value in way[:1]
-            if self._is_steep
-        ]
-        near = [replace(each, derived_options=()) for each in near]
-        return self._tried(packing, count, lambda measure: [*map(measure, [packing, *near])])
+        tried = [packing]
+        for name, value in packing.bits if self._is_steep else ():
+            for way in self.choices.bits[name].ways(value):
+                tried += [_with_bits(packing, name, other) for other in way[:1]]
+        return self._tried(packing, count, lambda measure: [*map(measure, tried)])
 
     def _expected(self, packing: Packing) -> int:
         """Estimate the count that fills the size, from those for the model's own splats."""
