@@ -1,5 +1,6 @@
 """The memory that `--dry-run` states, compared with what a separate process really takes."""
 
+import os
 import subprocess
 import sys
 import tracemalloc
@@ -27,9 +28,11 @@ COLUMNS = 4 * 59  # bytes of a splat of SH degree 3
 MOST = {"fast": 2.0, "paper": 2.0, "default": 2.5}  # times the columns, without libraries and views
 # Pixels of a view while it is rendered and compared, and pictures kept; the same for any model.
 VIEWS = {"fast": 0, "paper": 0, "default": 150_000_000}
+# glibc returns what is freed at once: what it keeps by default varies, by a tenth of the peak.
+RETURNED = {"MALLOC_MMAP_THRESHOLD_": str(1 << 16), "MALLOC_TRIM_THRESHOLD_": "0"}
 # Prints the memory of a process with compiled kernels before a run, and its peak since then.
 RUN = """
-import ctypes, re, sys
+import re, sys
 from pathlib import Path
 import nanogs
 from nanogs.datasets.synthetic import make_scene
@@ -42,8 +45,6 @@ given = {"ratio": 0.1, "preset": sys.argv[1], "threads": 2}
 if sys.argv[1] == "default":
     given["steps"] = 4  # each step of a fit takes the memory of the one before
 nanogs.simplify(make_scene(500), **given)
-# What the first run freed is given back: it would count as held before, or not, by chance.
-getattr(ctypes.CDLL(None), "malloc_trim", lambda pad: 0)(0)
 Path("/proc/self/clear_refs").write_text("5")  # forget the peak
 before = status("VmRSS")
 nanogs.simplify(nanogs.load(sys.argv[2]), **given)
@@ -66,11 +67,13 @@ def test_stages_have_the_same_names_in_the_plan_and_in_the_report(preset):
 @pytest.mark.parametrize("preset", MOST)
 def test_a_run_takes_the_planned_memory_and_stays_within_the_limits(preset, large_scene):
     command = [sys.executable, "-c", RUN, preset, str(large_scene)]
-    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        command, capture_output=True, text=True, check=True, env=os.environ | RETURNED
+    )
     before, peak = map(int, run.stdout.split())
     planned = plan_memory(COUNT, 3, 0, parameters(preset, {}), COUNT // 10, judged=False)
     assert planned.input_columns == COUNT * COLUMNS
-    assert 0.88 < (peak - before) / planned.peak < 1.08
+    assert 0.88 < (peak - before) / planned.peak < 1.05
     assert peak - before < MOST[preset] * COUNT * COLUMNS + VIEWS[preset]
     # The oldest Numba and NumPy that are allowed take three quarters of what the newest do.
     assert 0.55 * LIBRARIES < before < 1.05 * LIBRARIES

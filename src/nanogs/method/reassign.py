@@ -53,8 +53,9 @@ def reassign(leaves: Nodes, labels: I32, groups: int, rounds: int, blurs: F32) -
 
 def _blur_groups(merged: Nodes, leaves: Nodes, labels: I32, blurs: F32) -> None:
     """Blur the covariances of groups, in place, as the mixtures of their blurred members."""
-    sums = np.bincount(labels, leaves.weights * squared(blurs), len(merged))
-    widen(merged.covariances, sums / merged.weights)
+    widths = squared(blurs)
+    widths *= leaves.weights  # in place: this is where reassignment takes the most memory
+    widen(merged.covariances, np.bincount(labels, widths, len(merged)) / merged.weights)
 
 
 def _move(leaves: Nodes, labels: I32, groups: int, blurs: F32) -> I32:
@@ -65,17 +66,19 @@ def _move(leaves: Nodes, labels: I32, groups: int, blurs: F32) -> I32:
     for _ in range(MOVES):
         starts, members = member_lists(labels, groups)
         merged = gather_groups(leaves, starts, members)
+        sizes = np.diff(starts)
+        del starts, members  # frees memory before more is taken
         _blur_groups(merged, leaves, labels, blurs)
         if candidates is None:  # moves hardly change which groups are near
             candidates = nearest_neighbours(merged.means, NEIGHBOURS)
         log_determinants(merged.covariances, dets)
         best_moves(
-            labels, np.diff(starts), candidates,
+            labels, sizes, candidates,
             leaves.weights, leaves.means, leaves.covariances, blurs, leaves.features, leaves.rows,
             merged.weights, merged.means, merged.covariances, dets, merged.features, MOVES_APP,
             targets, gains,
         )  # fmt: skip
-        del merged, starts, members  # frees memory for the next ones
+        del merged  # frees memory for the next ones
         rows = np.flatnonzero(gains > 0)
         # Positive numbers are ordered like their bits.
         order = rows[stable_order(~gains[rows].view(np.uint64))]
