@@ -201,8 +201,8 @@ def errors_of_splats(model: PreparedSplats, target: Target, *, halved: bool) -> 
     view = project(model, camera)
     features, image = _blend(view, camera, wanted)
     residual, _, _ = _weigh(target, image, wanted)
-    residual[counted == 0] = 0  # not initialised in blocks that are not wanted
     probes = np.stack([np.einsum("hwc,hwc->hw", residual, residual), counted])
+    probes[0, counted == 0] = 0  # not initialised in blocks that are not wanted
     colours = np.ascontiguousarray(features[:, :1])  # one channel: the image is not needed again
     return blend(view, camera, colours, np.zeros(1, np.float32), probes, wanted)[2]
 

@@ -139,7 +139,8 @@ def _means(ordering: Ordering, values: F64) -> F64:
     """Return (M,) the weighted mean over the splats of every merge of (N,) values of the splats."""
     count, zeros = len(values), np.zeros(len(ordering.children))
     sums = np.zeros((2, count + len(zeros)))
-    sums[:, :count] = ordering.weights * values, ordering.weights
+    np.multiply(ordering.weights, values, out=sums[0, :count])
+    sums[1, :count] = ordering.weights
     for each in sums:
         subtree_sums(ordering.children, zeros, each)
     means: F64 = sums[0, count:] / sums[1, count:]

@@ -22,17 +22,26 @@ def exponential_integral(u: F64) -> F64:
     are all positive, so that nothing cancels; from there on E1(u) + ln u + 0.5772, with E1 as a
     continued fraction (5.1.22).
     """
-    few, many = np.minimum(u, _SPLIT), np.maximum(u, _SPLIT)
-    series = np.zeros_like(few)
+    found, few = np.empty_like(u), u < _SPLIT
+    found[few], found[~few] = _ein_by_series(u[few]), _ein_by_fraction(u[~few])
+    return found
+
+
+def _ein_by_series(u: F64) -> F64:
+    series = np.zeros_like(u)
     for coefficient in _COEFFICIENTS[::-1]:
         series += coefficient
-        series *= few
-    series *= np.exp(-few)
-    below = np.zeros_like(many)
+        series *= u
+    series *= np.exp(-u)
+    return series
+
+
+def _ein_by_fraction(u: F64) -> F64:
+    below = np.zeros_like(u)
     for k in range(_DEPTH, 0, -1):
-        below = k / (1.0 + k / (many + below))
-    tail = np.exp(-many) / (many + below) + np.log(many) + np.euler_gamma
-    return np.where(u < _SPLIT, series, tail)
+        below = k / (1.0 + k / (u + below))
+    tail: F64 = np.exp(-u) / (u + below) + np.log(u) + np.euler_gamma
+    return tail
 
 
 def layers_integral(u: F64, n: F64) -> F64:

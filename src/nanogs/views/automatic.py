@@ -40,6 +40,7 @@ class Survey:
     Attributes:
         sampled: A sample of its visible splats, in the model's own frame.
         core: The dense part of the sample, without surroundings and strays, in that frame.
+        orbit: What cameras around it look at, in that frame.
         turn: (4, 4) float64, from scene coordinates to that frame, in which up is along z.
         kind: Kind of cameras: "orbit" or "inside".
         band: Lowest and highest elevation of cameras around it, radians.
@@ -47,6 +48,7 @@ class Survey:
 
     sampled: SplatSample
     core: Core
+    orbit: orbit.Orbit
     turn: F64
     kind: Kind
     band: tuple[float, float]
@@ -145,7 +147,7 @@ def cameras_of(
 def _poses(scene: Survey, tangents: F64, numbers: I64) -> list[tuple[F64, float]]:
     up = np.array(UP)
     if scene.kind == "orbit":
-        return orbit.poses(scene.sampled, scene.core, up, tangents, numbers, scene.band)
+        return orbit.poses(scene.orbit, up, tangents, numbers, scene.band)
     return inside.poses(scene.sampled, scene.core, up, tangents, numbers)
 
 
@@ -183,7 +185,7 @@ def survey(
     if kind == "auto":
         room = camera_frame.band == UPRIGHT and inside.is_room(sampled, core, np.array(UP))
         kind = "inside" if room else "orbit"
-    return Survey(sampled, core, turn, kind, camera_frame.band)
+    return Survey(sampled, core, orbit.find_orbit(sampled, core), turn, kind, camera_frame.band)
 
 
 def all_around(scene: Survey) -> Survey:

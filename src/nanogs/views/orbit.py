@@ -5,6 +5,8 @@ of its surroundings. So these cameras look at the median of the core, at distanc
 cropped to where it leaves a margin, and evenly over a band of elevations.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from nanogs._types import F64, I64
@@ -28,46 +30,58 @@ FINEST = 1e-9  # least radius over the coordinates of the centre, for the precis
 DETOURS = ((1, 0), (0.85, 0), (0.85, 0.25), (0.7, 0.25), (0.7, 0.5), (0.5, 0.5), (1, 1.1))
 
 
-def poses(
-    sampled: SplatSample,
-    core: Core,
-    up: F64,
-    tangents: F64,
-    numbers: I64,
-    band: tuple[float, float],
-) -> list[tuple[F64, float]]:
-    """Compute the (4, 4) world-to-camera matrix and near plane of cameras of the orbit.
+@dataclass(frozen=True, slots=True)
+class Orbit:
+    """What cameras around a model look at, and what is in their way.
+
+    Attributes:
+        centre: (3,) float64, the point that they look at, scene units.
+        radius: Distance from it that holds most of the model, scene units.
+        grid: The model's occupancy around it.
+    """
+
+    centre: F64
+    radius: float
+    grid: Grid
+
+
+def find_orbit(sampled: SplatSample, core: Core) -> Orbit:
+    """Find what cameras around a model look at.
 
     Args:
         sampled: The model.
         core: The model without strays.
+    """
+    centre, radius = _focus(sampled, core)
+    return Orbit(centre, radius, build_grid(sampled, centre, GRID_HALF * radius))
+
+
+def poses(
+    orbit: Orbit, up: F64, tangents: F64, numbers: I64, band: tuple[float, float]
+) -> list[tuple[F64, float]]:
+    """Compute the (4, 4) world-to-camera matrix and near plane of cameras of the orbit.
+
+    Args:
+        orbit: What they look at.
         up: (3,) float64, unit.
         tangents: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, members of the sequence of directions.
         band: Lowest and highest elevation, radians.
     """
-    centre, radius = _focus(sampled, core)
-    grid = build_grid(sampled, centre, GRID_HALF * radius)
     # Even and odd numbers are half a step apart in one sequence.
     turn, lift, pull = low_discrepancy(numbers / 2, 3).T
     lowest, highest = np.sin(band)
     elevation = np.arcsin(lowest + lift * (highest - lowest))  # uniform over the band's area
-    distance = NEAREST * (FARTHEST / NEAREST) ** pull * radius / tangents.min()
+    distance = NEAREST * (FARTHEST / NEAREST) ** pull * orbit.radius / tangents.min()
     places = zip((2 * np.pi * turn).tolist(), elevation.tolist(), distance.tolist(), strict=True)
-    return [_unblocked(grid, centre, level_frame(up), tangents, *place) for place in places]
+    return [_unblocked(orbit, level_frame(up), tangents, *place) for place in places]
 
 
-def overview(sampled: SplatSample, core: Core, up: F64, tangents: F64) -> tuple[F64, float, F64]:
-    """Return the pose and near plane of a view of the whole model, and the (3,) centre of the view.
-
-    The arguments are those of `poses`.
-    """
-    centre, radius = _focus(sampled, core)
-    grid = build_grid(sampled, centre, GRID_HALF * radius)
+def overview(orbit: Orbit, up: F64, tangents: F64) -> tuple[F64, float]:
+    """Return the pose and near plane of a view of the whole model; the arguments are as above."""
     azimuth, elevation, distance = OVERVIEW
-    distance *= radius / float(tangents.min())
-    pose, near = _unblocked(grid, centre, level_frame(up), tangents, azimuth, elevation, distance)
-    return pose, near, centre
+    distance *= orbit.radius / float(tangents.min())
+    return _unblocked(orbit, level_frame(up), tangents, azimuth, elevation, distance)
 
 
 def _focus(sampled: SplatSample, core: Core) -> tuple[F64, float]:
@@ -86,8 +100,7 @@ def _focus(sampled: SplatSample, core: Core) -> tuple[F64, float]:
 
 
 def _unblocked(
-    grid: Grid,
-    centre: F64,
+    orbit: Orbit,
     frame: F64,
     tangents: F64,
     azimuth: float,
@@ -103,10 +116,10 @@ def _unblocked(
         lift = max(elevation, min(elevation + climb, STEEPEST))
         level = np.array([np.cos(azimuth), np.sin(azimuth)]) * np.cos(lift)
         away = pull * distance
-        position = centre + away * (np.array([*level, np.sin(lift)]) @ frame)
-        pose = look_at(position, centre, frame[2])
-        (hits,) = view_hits(grid, [pose], tangents, away)
-        blocked = float((hits < TOO_NEAR * away).mean()) + (not grid.free(position))
+        position = orbit.centre + away * (np.array([*level, np.sin(lift)]) @ frame)
+        pose = look_at(position, orbit.centre, frame[2])
+        (hits,) = view_hits(orbit.grid, [pose], tangents, away)
+        blocked = float((hits < TOO_NEAR * away).mean()) + (not orbit.grid.free(position))
         tried.append((blocked, pose, NEAR * away))
         if blocked <= ACCEPTED:
             break
