@@ -20,7 +20,7 @@ from nanogs import io, percentiles
 from nanogs.errors import OptionError
 from nanogs.findings import Finding, join_findings
 from nanogs.io import registry
-from nanogs.io.formats import FAMILIES
+from nanogs.io.formats import FAMILIES, of_family
 from nanogs.model_info import info as describe
 from nanogs.splats import RenderMode
 from strategies import splats
@@ -237,6 +237,11 @@ def test_every_family_of_formats_is_registered():
         if re.search(r"^FORMATS = ", file.read_text(encoding="utf-8"), re.MULTILINE)
     }
     assert sorted(found) == sorted(FAMILIES)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_table_of_formats_has_the_suffixes_of_each_family(family):
+    assert FAMILIES[family] == tuple(known.suffix for known in of_family(family))
 
 
 @given(

@@ -121,8 +121,8 @@ def test_a_format_that_is_not_written_is_refused(splats):
 
 def test_without_a_size_formula_the_count_is_found_by_writing(splats, monkeypatch):
     """A .ply file whose size is treated as unknown until it is written."""
-    written_only = [registry.Format(".ply", None, ply_write.write)]
-    monkeypatch.setattr(registry, "formats", lambda: written_only)
+    written_only = registry.Format(".ply", None, ply_write.write)
+    monkeypatch.setattr(registry, "of_name", lambda _: written_only)
     with pytest.raises(OptionError, match="only known once it is written"):
         registry.sizer(Path("a.ply"))
     small, report = nanogs.simplify(splats, size=20_000, preset="fast")

@@ -13,8 +13,6 @@ from nanogs.io.files import splat_bytes
 from nanogs.io.format import FormatOptions
 from nanogs.io.models import Model
 from nanogs.io.parts import FileSource, Packed, Whole
-from nanogs.io.spz.header import LAST_GZIP, column_widths
-from nanogs.io.spz.packing import packing_bytes
 from nanogs.io.wrapper import unwrapped
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -179,6 +177,9 @@ def _columns_bytes(suffix: str, info: FileInfo) -> int:
     each = _COLUMN.get(suffix, 0) * info.splats
     if suffix != ".spz":
         return each
+    from nanogs.io.spz.header import LAST_GZIP, column_widths
+    from nanogs.io.spz.packing import packing_bytes
+
     columns = sum(column_widths(LAST_GZIP, info.sh_degree).values()) * info.splats
     return max(each, packing_bytes(columns))
 

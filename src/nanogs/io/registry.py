@@ -10,6 +10,7 @@ from typing import Any, BinaryIO, NoReturn
 from nanogs.errors import FormatError, OptionError, OutputError, did_you_mean
 from nanogs.formatting import listed
 from nanogs.io.format import Format, FormatOptions, Sizer, Writer, given_options
+from nanogs.io.formats import all_formats, of_name
 from nanogs.io.limits import refusal, refused_splats
 from nanogs.io.urls import Address
 from nanogs.paths import exists, is_file, is_folder
@@ -38,16 +39,12 @@ _REMEDIES = {
 
 def formats() -> tuple[Format, ...]:
     """Return all formats."""
-    from nanogs.io.formats import FORMATS  # importing it took a quarter of the time of `--help`
-
-    return FORMATS
+    return all_formats()
 
 
 def find(path: Path) -> Format | None:
     """Find the format with the longest suffix that matches a file name; case does not matter."""
-    name = path.name.lower()
-    found = [known for known in formats() if name.endswith(known.suffix)]
-    return max(found, key=lambda known: len(known.suffix), default=None)
+    return of_name(path.name.lower())
 
 
 def sniff(path: Path) -> str | None:
