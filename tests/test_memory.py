@@ -1,7 +1,5 @@
 """The memory that `--dry-run` states, compared with what a separate process really takes."""
 
-import os
-import subprocess
 import sys
 import tracemalloc
 from dataclasses import replace
@@ -12,6 +10,7 @@ import pytest
 
 import nanogs
 from builders import random_splats
+from launch import measured
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.io import registry
 from nanogs.memory import LIBRARIES
@@ -28,8 +27,6 @@ COLUMNS = 4 * 59  # bytes of a splat of SH degree 3
 MOST = {"fast": 2.0, "paper": 2.0, "default": 2.5}  # times the columns, without libraries and views
 # Pixels of a view while it is rendered and compared, and pictures kept; the same for any model.
 VIEWS = {"fast": 0, "paper": 0, "default": 150_000_000}
-# glibc returns what is freed at once: what it keeps by default varies, by a tenth of the peak.
-RETURNED = {"MALLOC_MMAP_THRESHOLD_": str(1 << 16), "MALLOC_TRIM_THRESHOLD_": "0"}
 # Prints the memory of a process with compiled kernels before a run, and its peak since then.
 RUN = """
 import re, sys
@@ -66,11 +63,7 @@ def test_stages_have_the_same_names_in_the_plan_and_in_the_report(preset):
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("preset", MOST)
 def test_a_run_takes_the_planned_memory_and_stays_within_the_limits(preset, large_scene):
-    command = [sys.executable, "-c", RUN, preset, str(large_scene)]
-    run = subprocess.run(
-        command, capture_output=True, text=True, check=True, env=os.environ | RETURNED
-    )
-    before, peak = map(int, run.stdout.split())
+    before, peak = measured(RUN, preset, large_scene)
     planned = plan_memory(COUNT, 3, 0, parameters(preset, {}), COUNT // 10, judged=False)
     assert planned.input_columns == COUNT * COLUMNS
     assert 0.88 < (peak - before) / planned.peak < 1.05
