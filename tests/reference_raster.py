@@ -49,7 +49,7 @@ def splat_on_screen(splats, camera, i):
     jacobian = [[camera.fx / z, 0, -camera.fx * tx / z], [0, camera.fy / z, -camera.fy * ty / z]]
     to_screen = np.array(jacobian) @ rotation
     before = to_screen @ sigma @ to_screen.T
-    after = before + 0.3 * np.eye(2)
+    after = before + camera.dilation * np.eye(2)
     with np.errstate(over="ignore"):
         opacity = 1 / (1 + np.exp(-np.float64(splats.opacity_logits[i])))
     if splats.render_mode is RenderMode.MIP:

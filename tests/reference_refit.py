@@ -140,7 +140,7 @@ def shape_terms(row, sums, point, axes, scales, opacity, camera, mode):
     return gradients[:, 0], blocks[:, 0]
 
 
-def resolved_share(row):
+def resolved_share(row, dilation):
     """Compute how much of a splat's size on screen is its own rather than dilation, 0 to 1.
 
     This is the mean square of the eigenvalues of its own covariance relative to the dilated one.
@@ -150,7 +150,7 @@ def resolved_share(row):
         [[width, slope * height], [0, height]]
     )  # its columns are axes in (x, y) on screen
     dilated = frame @ frame.T
-    eigenvalues = np.linalg.eigvals(np.linalg.solve(dilated, dilated - 0.3 * np.eye(2)))
+    eigenvalues = np.linalg.eigvals(np.linalg.solve(dilated, dilated - dilation * np.eye(2)))
     return (eigenvalues.real**2).mean()
 
 
@@ -194,7 +194,7 @@ class ReferenceFit:
             self.weights[i] += share * (sums[3] - self.weights[i])
             excess = max(1.0, sums[3] / self.weights[i])
             row = view.view.geometry[i]
-            share = resolved_share(row) * unoccluded_share(row, sums[3])
+            share = resolved_share(row, camera.dilation) * unoccluded_share(row, sums[3])
             self.most_determined[i] = max(self.most_determined[i], share)
             step_rate, return_rate = rate * share, rate * 0.2 * (1 - self.most_determined[i]) ** 2
             old = self.sh[i].copy()

@@ -428,6 +428,7 @@ def test_cameras_may_be_made_of_lists_and_tensors(pair):
         ({"world_to_camera": "pose"}, "world_to_camera is the path 'pose', not an array"),
         ({"whole": (1.0, 2.0)}, "whole of camera 'a' must be four numbers"),
         ({"whole": 5.0}, r"whole of camera 'a' must be four numbers, not 5\.0"),
+        ({"dilation": "wide"}, "dilation of camera 'a' must be a number, not 'wide'"),
         ({"name": 7}, "name of camera 7 must be text, not 7"),
         ({"lens": "OPENCV"}, "lens of camera 'a' must be a nanogs.raster.lens.Lens"),
     ],
@@ -445,6 +446,7 @@ def test_a_camera_of_other_types_is_refused_when_it_is_made(field, message):
         ({"world_to_camera": POSE[:3]}, "a finite 4 x 4"),
         ({"world_to_camera": POSE.ravel()}, "a finite 4 x 4"),
         ({"width": -3}, "1 to 524,272 pixels"),
+        ({"dilation": 0}, "focal lengths, near and dilation must be above 0"),
     ],
 )
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ def scene(degree=1, mode=RenderMode.DEFAULT):
     original, small = cloud_pair(degree=degree)
     small = dataclasses.replace(small, render_mode=mode)
     cameras = automatic_cameras(original, 4, width=64, height=48)
+    cameras[-1] = cameras[-1].sharpened(0.5)
     return original, small, [make_target(prepare(original), camera) for camera in cameras]
 
 

@@ -76,6 +76,17 @@ def test_matches_reference_with_harmonics(degree):
     check_against_reference(make_splats(degree=degree, seed=degree), make_camera())
 
 
+@pytest.mark.parametrize("mode", [RenderMode.DEFAULT, RenderMode.MIP])
+def test_a_sharpened_view_has_every_third_pixel_of_a_picture_three_times_as_large(mode):
+    splats = make_splats(60, 2, size=-3, spread=1.5, render_mode=mode)
+    camera = make_camera().sharpened(1 / 3)
+    image, _ = check_against_reference(splats, camera)
+    large = render(splats, make_camera().resized(3 * camera.width, 3 * camera.height))
+    # Splats of about 1/255 may be blended in one picture only.
+    assert np.abs(image.alpha - large.alpha[1::3, 1::3]).max() < 0.01
+    assert np.abs(image.alpha - render(splats, make_camera()).alpha).max() > 0.1
+
+
 def test_probes_are_summed_with_the_weights_of_each_splat():
     splats, camera = make_splats(seed=3), make_camera()
     planes = np.random.default_rng(4).normal(size=(3, 21, 37)).astype(np.float32)

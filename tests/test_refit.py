@@ -359,7 +359,7 @@ def test_a_descent_step_matches_its_reference(mode):
     """Two views in turn, so that the second step uses curvatures kept from the first."""
     splats = make_splats(12, 5, size=-1.5, mode=mode, degree=2)
     original = make_splats(12, 6, size=-1.5, mode=mode, degree=2)
-    near = dataclasses.replace(make_camera(), fx=60.0, fy=60.0)
+    near = dataclasses.replace(make_camera(), fx=60.0, fy=60.0).sharpened(0.5)
     targets = [make_target(prepare(original), camera) for camera in (make_camera(), near)]
     descent = Descent(splats, Fitting(targets), RefitParameters())
     reference = ReferenceFit(splats, RefitParameters(), len(targets))
@@ -380,19 +380,25 @@ def test_a_descent_step_matches_its_reference(mode):
     np.testing.assert_array_equal(kept.keep, fresh.keep)
 
 
+@pytest.mark.parametrize("dilation", [0.3, 0.05])
 @pytest.mark.parametrize("scale", [0.02, 0.3, 1.0, 4.0, 50.0])
-def test_splats_smaller_than_a_pixel_have_a_low_resolved_share(scale):
+def test_splats_smaller_than_a_pixel_have_a_low_resolved_share(scale, dilation):
     """For a ball of `scale` pixels, the square of variance / (variance + dilation)."""
-    ball = np.array([0.0, 0.0, 1 / math.sqrt(scale**2 + 0.3), 0.0, 1 / (scale**2 + 0.3)])
-    assert resolved_share(ball) == pytest.approx((scale**2 / (scale**2 + 0.3)) ** 2)
-    assert resolved_share(ball) == pytest.approx(reference_refit.resolved_share(ball))
+    variance = scale**2 + dilation
+    ball = np.array([0.0, 0.0, 1 / math.sqrt(variance), 0.0, 1 / variance])
+    assert resolved_share(ball, dilation) == pytest.approx((scale**2 / variance) ** 2)
+    assert resolved_share(ball, dilation) == pytest.approx(
+        reference_refit.resolved_share(ball, dilation)
+    )
 
 
 def test_the_resolved_share_of_a_needle_is_that_of_its_long_axis():
     needle = np.array([0.0, 0.0, 1 / math.sqrt(1e-6 + 0.3), 0.0, 1 / (20.0**2 + 0.3)])
-    assert resolved_share(needle) == pytest.approx(0.5, abs=1e-3)
+    assert resolved_share(needle, 0.3) == pytest.approx(0.5, abs=1e-3)
     leaning = np.array([0.0, 0.0, 0.4, -1.3, 0.9])
-    assert resolved_share(leaning) == pytest.approx(reference_refit.resolved_share(leaning))
+    assert resolved_share(leaning, 0.3) == pytest.approx(
+        reference_refit.resolved_share(leaning, 0.3)
+    )
 
 
 def ball_behind_sheets(*alphas):

@@ -22,7 +22,6 @@ LOGIT, MOST_DETERMINED = wp.constant(advance.LOGIT), wp.constant(advance.MOST_DE
 LEAST_WEIGHT = wp.constant(wp.float32(advance.LEAST_WEIGHT))
 MIN_ALPHA = wp.constant(wp.float64(project.MIN_ALPHA))
 SLACK = wp.constant(wp.float64(project.SLACK))
-DILATION = wp.constant(wp.float64(project.DILATION))
 RESTORING = wp.constant(wp.float64(chain.RESTORING))
 ELSEWHERE = wp.constant(wp.float64(chain.ELSEWHERE))
 PI = wp.constant(wp.float64(math.pi))
@@ -40,12 +39,14 @@ PRODUCTS = wp.constant(wp.types.matrix(chain.PRODUCTS.shape, wp.int32)(*chain.PR
 
 
 @wp.func
-def resolved_share(geometry: wp.array2d[wp.float64], i: wp.int32) -> wp.float64:
+def resolved_share(
+    geometry: wp.array2d[wp.float64], i: wp.int32, dilation: wp.float64
+) -> wp.float64:
     """Return how well a view determines a small splat; see `chain.resolved_share`."""
     slope = geometry[i, 3]
     square = geometry[i, 2] * geometry[i, 2]
-    middle = HALF * DILATION * (square * (ONE + slope * slope) + geometry[i, 4])
-    det = DILATION * DILATION * square * geometry[i, 4]
+    middle = HALF * dilation * (square * (ONE + slope * slope) + geometry[i, 4])
+    det = dilation * dilation * square * geometry[i, 4]
     return wp.clamp(ONE - TWO * middle + TWO * middle * middle - det, ZERO, ONE)
 
 
@@ -451,7 +452,9 @@ def advance_splats(
     moving.weights[i] = wp.float32(mean + (wp.float64(weight) - mean) * share)
     mean = wp.float64(moving.weights[i])
     excess = wp.max(wp.float64(weight) / mean, ONE)
-    determined = resolved_share(geometry, i) * unoccluded_share(geometry, i, wp.float64(weight))
+    determined = resolved_share(geometry, i, intrinsics[11]) * unoccluded_share(
+        geometry, i, wp.float64(weight)
+    )
     moving.displacements[i, MOST_DETERMINED] = wp.max(
         moving.displacements[i, MOST_DETERMINED], wp.float32(determined)
     )

@@ -7,7 +7,6 @@ import warp as wp
 from nanogs.card.shading import TILE
 from nanogs.kernels import harmonics, project
 
-_DILATION = wp.constant(wp.float64(project.DILATION))
 _GUARD = wp.constant(wp.float64(project.GUARD))
 _MIN_ALPHA = wp.constant(wp.float64(project.MIN_ALPHA))
 _SLACK = wp.constant(wp.float64(project.SLACK))
@@ -19,7 +18,7 @@ _C30, _C31, _C32, _C33, _C34 = (wp.constant(wp.float32(one)) for one in harmonic
 _C40, _C41, _C42, _C43, _C44, _C45, _C46 = (wp.constant(wp.float32(one)) for one in harmonics.C4)
 
 Basis = wp.types.vector(25, wp.float32)
-Intrinsics = wp.types.vector(11, wp.float64)  # see `kernels.project.project_splats`
+Intrinsics = wp.types.vector(12, wp.float64)  # see `kernels.project.project_splats`
 
 
 @wp.func
@@ -141,9 +140,10 @@ def project_splats(
     normal = wp.cross(across, down)
     before = wp.dot(normal, normal)
     xx, xy, yy = wp.dot(across, across), wp.dot(across, down), wp.dot(down, down)
-    after = before + _DILATION * (xx + yy) + _DILATION * _DILATION
-    xx += _DILATION
-    yy += _DILATION
+    dilation = intrinsics[11]
+    after = before + dilation * (xx + yy) + dilation * dilation
+    xx += dilation
+    yy += dilation
     opacity, reach = wp.float64(opacities[i]), wp.float64(reaches[i])
     if mip:
         opacity *= wp.sqrt(wp.max(wp.float64(0.0), before / after))

@@ -190,7 +190,7 @@ def advance_splats(
         totals: (N, 25) from `gather_entries`.
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.
-        intrinsics: (11,) as `nanogs.kernels.project.project_splats` takes them.
+        intrinsics: (12,) as `nanogs.kernels.project.project_splats` takes them.
         mip: Whether opacities were compensated for the dilation.
         degree: Spherical-harmonic degree, of which `sh` has all coefficients.
         rate: Learning rate, 1 for the whole way to the minimum of the quadratic model;
@@ -251,7 +251,9 @@ def advance_splats(
             # Computed in float64 and rounded only at the end, so that it is never 0.
             weights[i] = weights[i] + (weight - weights[i]) / min(seen[i], memory)
             excesses[lane] = max(weight / weights[i], 1.0)
-            share = resolved_share(geometry[i]) * unoccluded_share(geometry[i], weight)
+            share = resolved_share(geometry[i], intrinsics[11]) * unoccluded_share(
+                geometry[i], weight
+            )
             displacements[i, MOST_DETERMINED] = max(
                 displacements[i, MOST_DETERMINED], np.float32(share)
             )

@@ -19,7 +19,6 @@ import numpy as np
 from nanogs._types import F32, F64
 from nanogs.kernels.gradients import SUMS
 from nanogs.kernels.policy import allocating_inline, exact_inline, inline
-from nanogs.kernels.project import DILATION
 
 Triple: TypeAlias = tuple[float, float, float]
 Bounds: TypeAlias = tuple[float, float, float, float]
@@ -61,7 +60,7 @@ def new_chains(shape: int, screen: int, lanes: int) -> tuple[F64, F64, F64]:
 
 
 @inline
-def resolved_share(row: F64) -> float:
+def resolved_share(row: F64, dilation: float) -> float:
     """Return how well a view determines a small splat, in [0, 1]: the share of its step to take.
 
     A view shows only the sum of the splat's own covariance on screen and the rasteriser's dilation.
@@ -74,10 +73,11 @@ def resolved_share(row: F64) -> float:
 
     Args:
         row: (8,) the projected splat.
+        dilation: Variance that is added on screen, pixels².
     """
     # Half the trace, and the determinant, of the dilation in the frame of the unit matrix.
-    middle = 0.5 * DILATION * (row[2] * row[2] * (1.0 + row[3] * row[3]) + row[4])
-    det = DILATION * DILATION * row[2] * row[2] * row[4]
+    middle = 0.5 * dilation * (row[2] * row[2] * (1.0 + row[3] * row[3]) + row[4])
+    det = dilation * dilation * row[2] * row[2] * row[4]
     share: float = 1.0 - 2.0 * middle + 2.0 * middle * middle - det
     return min(max(share, 0.0), 1.0)
 

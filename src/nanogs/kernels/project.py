@@ -28,7 +28,6 @@ from nanogs.kernels.blocks import TILE, prefetch
 from nanogs.kernels.harmonics import sh_basis
 from nanogs.kernels.policy import inline, parallel_kernel
 
-DILATION = 0.3  # pixels², added to both variances on screen ([K]'s rasteriser)
 GUARD = 1.3  # x/z and y/z in the Jacobian are clamped to this many half fields of view
 MIN_ALPHA = 1.0 / 255.0
 WIDER = 1.001  # factor that widens a bound, so that rounding does not make it too small
@@ -80,9 +79,10 @@ def _project_gaussian(
         bx, by, bz = by, bz, b
     n0, n1, n2 = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     before = n0 * n0 + n1 * n1 + n2 * n2  # |a x b|² = det(a bᵀ), never negative
-    after = before + DILATION * (xx + yy) + DILATION * DILATION
-    xx += DILATION
-    yy += DILATION
+    dilation = intrinsics[11]
+    after = before + dilation * (xx + yy) + dilation * dilation
+    xx += dilation
+    yy += dilation
     inv_yy = 1.0 / yy
     row[2] = math.sqrt(yy / after)
     row[3] = xy * inv_yy
@@ -143,7 +143,7 @@ def _beside(
     for r in range(3):
         for k in range(3):
             square += np.float64(factor[r, k]) * np.float64(factor[r, k])
-    dilation = DILATION * z * z
+    dilation = intrinsics[11] * z * z
     across = WIDER * reach * (square * steepest[0] + dilation)
     along = WIDER * reach * (square * steepest[1] + dilation)
     u, v = intrinsics[0] * x + intrinsics[2] * z, intrinsics[1] * y + intrinsics[3] * z
@@ -218,8 +218,8 @@ def project_splats(
         sh: (N, K, 3) with K >= (degree + 1)².
         rotation: (3, 3), world to camera.
         position: (3,) the camera's centre, scene units.
-        intrinsics: (11,) fx, fy, cx, cy, width, height in pixels, near in scene units, and cx, cy,
-            width and height of the whole picture that this is a part of.
+        intrinsics: (12,) fx, fy, cx, cy, width, height in pixels, near in scene units, cx, cy,
+            width and height of the whole picture that this is a part of, and the dilation, pixels².
         mip: Multiply opacities by sqrt(det before / det after dilation).
         degree: Spherical-harmonic degree to evaluate.
         geometry: (N, 8) out, see the module's docstring.

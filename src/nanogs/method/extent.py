@@ -6,8 +6,8 @@ import numpy as np
 
 from nanogs import parallel
 from nanogs._types import F32, F64
-from nanogs.kernels.project import DILATION
 from nanogs.kernels.viewer_distances import least_distances, nearness
+from nanogs.raster.camera import DILATION
 from nanogs.splats import RenderMode
 from nanogs.views.occupancy import quantiles
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 NEAR = 0.2  # scene units; the reference rasteriser culls splats that are nearer
+DILATION = 0.3  # pixels²; of the reference rasteriser
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +49,9 @@ class Camera:
             of a picture; those in a crop are the same as in the whole picture.
         changed_by: Name of the file by which the camera was moved to other coordinates than those
             of the file that it was read from; empty if it was not.
+        dilation: Variance, pixels², that rasterisers add to both variances of a splat on screen.
+            With f² times the usual value the view shows every n-th pixel, for n = 1 / f, of each
+            row and column of a picture n times as large (see `sharpened`).
 
     Raises:
         OptionError: A field has another type. Values are checked where the camera is used.
@@ -65,6 +69,7 @@ class Camera:
     lens: Lens | None = None
     whole: tuple[float, float, float, float] | None = None
     changed_by: str = ""
+    dilation: float = DILATION
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -82,11 +87,12 @@ class Camera:
             lens: Lens | None = ...,
             whole: Sequence[float] | None = ...,
             changed_by: str = ...,
+            dilation: float = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         """Convert numbers to Python's and the matrix to an array, and refuse all else."""
-        for name in ("width", "height", "fx", "fy", "cx", "cy", "near"):
+        for name in ("width", "height", "fx", "fy", "cx", "cy", "near", "dilation"):
             object.__setattr__(self, name, self._number(name, getattr(self, name)))
         object.__setattr__(self, "world_to_camera", self._matrix())
         for name in ("name", "changed_by"):
@@ -125,12 +131,14 @@ class Camera:
 
     @property
     def intrinsics(self) -> F64:
-        """(11,) float64 for kernels: fx, fy, cx, cy, width, height, near, and the four of `whole`.
+        """(12,) float64 for kernels.
 
-        The last four are cx, cy, width and height of this view if it is not a crop.
+        They are fx, fy, cx, cy, width, height, near, the four of `whole`, which are cx, cy, width
+        and height of this view if it is not a crop, and the dilation.
         """
         own = (self.cx, self.cy, self.width, self.height)
-        return np.array([self.fx, self.fy, *own, self.near, *(self.whole or own)], np.float64)
+        whole = self.whole or own
+        return np.array([self.fx, self.fy, *own, self.near, *whole, self.dilation], np.float64)
 
     @property
     def position(self) -> F64:
@@ -138,6 +146,14 @@ class Camera:
         rotation = self.world_to_camera[:3, :3]
         position: F64 = -rotation.T @ self.world_to_camera[:3, 3]
         return position
+
+    def sharpened(self, factor: float) -> "Camera":
+        """Return a view of as many pixels, evenly taken from those of a larger picture.
+
+        Args:
+            factor: Width of a pixel of that picture over that of a pixel here, above 0.
+        """
+        return replace(self, dilation=self.dilation * factor**2)
 
     def reduced(self, size: int) -> "Camera":
         """Reduce the view to at most `size` pixels along the longer side."""

@@ -284,7 +284,7 @@ def view_on(
 
 
 def camera_arrays(camera: Camera) -> tuple[F64, F64, F64]:
-    """Return (3, 3) rotation, (3,) position, (11,) intrinsics of a camera, as kernels take them."""
+    """Return (3, 3) rotation, (3,) position, (12,) intrinsics of a camera, as kernels take them."""
     rotation = np.ascontiguousarray(camera.world_to_camera[:3, :3], np.float64)
     return rotation, camera.position, camera.intrinsics
 
@@ -513,9 +513,11 @@ def check_camera(camera: Camera) -> None:
             f"a camera needs 1 to {projection.LARGEST:,} pixels along each side, not"
             f" {camera.width} x {camera.height}."
         )
-    if not np.isfinite(camera.intrinsics).all() or not min(camera.fx, camera.fy, camera.near) > 0:
+    least = min(camera.fx, camera.fy, camera.near, camera.dilation)
+    if not (np.isfinite(camera.intrinsics).all() and least > 0):
         raise OptionError(
-            f"camera {camera.name!r} needs finite intrinsics, focal lengths and near above 0."
+            f"camera {camera.name!r} needs finite intrinsics; focal lengths, near and dilation must"
+            " be above 0."
         )
     if camera.whole is not None and not min(camera.whole[2:]) > 0:
         raise OptionError(f"camera {camera.name!r} needs a `whole` picture of a size above 0.")

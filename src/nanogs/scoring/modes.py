@@ -289,7 +289,7 @@ def _splats_in_sight(model: Splats | Source, cameras: "Sequence[Camera]") -> tup
     """Return the shares of visible splats that are thin and faded; see `ModeEvidence`."""
     import numpy as np
 
-    from nanogs.kernels.project import DILATION, HIDDEN
+    from nanogs.kernels.project import HIDDEN
     from nanogs.raster.rendering import prepare, project_rows
     from nanogs.views.streamed import DRAWN_ROWS
 
@@ -302,23 +302,23 @@ def _splats_in_sight(model: Splats | Source, cameras: "Sequence[Camera]") -> tup
             sight = np.flatnonzero(boxes != HIDDEN)
             widths = least[sight] * max(camera.fx, camera.fy) / features[sight, 3]
             seen += len(sight)
-            thin += int(np.count_nonzero(widths < np.sqrt(DILATION)))
-            faded += int(np.count_nonzero(_antialiasing_factors(geometry[sight]) < FADED))
+            thin += int(np.count_nonzero(widths < np.sqrt(camera.dilation)))
+            factors = _antialiasing_factors(geometry[sight], camera.dilation)
+            faded += int(np.count_nonzero(factors < FADED))
     return (thin / seen, faded / seen) if seen else (0.0, 0.0)
 
 
-def _antialiasing_factors(geometry: "F64") -> "F64":
+def _antialiasing_factors(geometry: "F64", dilation: float) -> "F64":
     """Compute the antialiasing factor (N,) of opacities: sqrt(det before / det after dilation).
 
     Args:
         geometry: (N, 8), see `nanogs.kernels.project`; after dilation.
+        dilation: Variance that was added on screen, pixels².
     """
     import numpy as np
 
-    from nanogs.kernels.project import DILATION
-
     yy, slope = 1 / geometry[:, 4], geometry[:, 3]
     along = 1 / geometry[:, 2] ** 2  # the variance of x given y
-    before = (along + slope**2 * yy - DILATION) * (yy - DILATION) - (slope * yy) ** 2
+    before = (along + slope**2 * yy - dilation) * (yy - dilation) - (slope * yy) ** 2
     kept: F64 = np.sqrt(np.maximum(before, 0) / (along * yy))
     return kept

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nanogs.pipeline.options.cameras import AUTO
-from nanogs.raster.camera import Camera
+from nanogs.raster.camera import DILATION, Camera
 from nanogs.raster.lens import Lens
 
 if TYPE_CHECKING:
@@ -74,6 +74,8 @@ def plain_camera(camera: Camera) -> dict[str, Any]:
         plain["whole"] = list(camera.whole)
     if camera.changed_by:
         plain["changed_by"] = camera.changed_by
+    if camera.dilation != DILATION:
+        plain["dilation"] = camera.dilation
     return plain
 
 
