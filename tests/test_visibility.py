@@ -379,7 +379,9 @@ def test_a_third_of_the_further_views_are_from_all_around():
     assert [camera.name for camera in further] == [f"fit_{4 + i:03}" for i in range(8)]
     usual = automatic[0].dilation
     assert [camera.dilation for camera in kept] == [usual] * 4
-    assert [camera.dilation for camera in further] == pytest.approx([usual / 4] * 8)
+    assert [camera.dilation for camera in further] == pytest.approx([usual * 0.7**3] * 8)
+    _, few = choose_cameras(upright, 11, 1, 32)
+    assert few[0].dilation == pytest.approx(usual / 4)  # no finer
     up = upright.turn[2, :3]
     steepest = [max(abs(c.world_to_camera[2, :3] @ up) for c in s) for s in (automatic, around)]
     assert steepest[0] < 0.51 < 0.75 < steepest[1]

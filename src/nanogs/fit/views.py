@@ -17,9 +17,9 @@ from nanogs.views.automatic import Survey, all_around, cameras_of, survey
 
 OVERLAP = 0.02  # smallest share of the original's alpha that the small model must cover
 AROUND = 3  # one in so many of the further automatic views is from all around the model
-# Width of a pixel of the further automatic views, over that of a picture of this size: people look
-# at larger pictures, and from nearer.
-FINER = 0.5
+# Width of a pixel that automatic views show, over that of a picture of their size: the geometric
+# mean of all views, and the least. People look at larger pictures, and from nearer.
+FINER, FINEST = 0.7, 0.5
 
 
 def view_targets(
@@ -74,7 +74,7 @@ def choose_cameras(
 
     Both are spread evenly over the user's cameras, or are automatic ones, with one in `AROUND`
     of the further ones from all around the model, even if it is a room or stands on a ground. The
-    further automatic ones show some pixels of larger pictures (`FINER`).
+    further automatic ones show some pixels of larger pictures, so that the mean is `FINER`.
 
     Args:
         cameras: The user's cameras, or the analysis of the original that automatic ones need.
@@ -90,7 +90,8 @@ def choose_cameras(
             around, cameras_of(all_around(cameras), around, size, size), strict=True
         ):
             found.insert(number, camera)
-        return found[:kept], [camera.sharpened(FINER) for camera in found[kept:]]
+        factor = max(FINER ** ((kept + further) / max(further, 1)), FINEST)
+        return found[:kept], [camera.sharpened(factor) for camera in found[kept:]]
     return split_evenly(
         [camera.reduced(size) for camera in pick_evenly(cameras, kept + further)], kept
     )
