@@ -17,7 +17,7 @@ from nanogs.kernels import assign
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.method import forest as growth
 from nanogs.method import parameters, reassign
-from nanogs.method.choose import quality
+from nanogs.method.choose import further_growths, quality
 from nanogs.method.cut import cut, label_groups, merge_scores
 from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.growth import blocked, effective_counts
@@ -240,6 +240,18 @@ def test_a_forest_joins_all_splats_and_merges_each_node_once(n, k, seed):
     assert all(p.count_after == p.count_before - p.merged for p in forest.passes)
     if n > 1:
         assert sorted(reference.leaves_below(forest.children, 2 * n - 2, n)) == list(range(n))
+
+
+def test_passes_report_their_highest_cost_and_the_merges_done():
+    nodes, reported = nodes_of(random_splats(90, seed=2))[0], []
+    forest = grow_forest(nodes, ForestParameters(), lambda *progress: reported.append(progress))
+    costs = forest.increments.sum(axis=1)
+    for number, one_pass in enumerate(forest.passes, 1):
+        assert one_pass.highest_cost == costs[forest.levels == number].max()
+    done, whole = zip(*reported, strict=True)
+    assert set(whole) == {90}
+    assert (done[0], done[-1]) == (0, pytest.approx(89, abs=1))
+    assert all(0 <= each < 90 for each in done)
 
 
 def test_increments_equal_the_reference_for_the_merged_nodes():
@@ -499,6 +511,7 @@ def test_moves_lower_the_error_by_what_is_predicted(seed, blurred, monkeypatch):
     predicted = []
 
     def make_moves(order, targets, taken, moved):
+        assert (np.diff(gains[-1][order]) <= 0).all()
         unmoved = moved.copy()
         made = assign.make_moves(order, targets, taken, moved)
         rows = np.flatnonzero(moved != unmoved)
@@ -522,6 +535,19 @@ def test_moves_lower_the_error_by_what_is_predicted(seed, blurred, monkeypatch):
     leaves = widened(leaves, blurs)
     fall = error_of(leaves, before, groups) - error_of(leaves, after, groups)
     assert fall == pytest.approx(gains[0][predicted[0]].sum(), rel=1e-4)
+
+
+def test_moves_leave_the_labels_of_the_caller_as_they_are(monkeypatch):
+    leaves, _ = nodes_of(random_splats(60, seed=1), 0.01)
+    labels = cut(grow_forest(leaves, ForestParameters(k=8), ignore_progress), 25, 0.8)
+    with monkeypatch.context() as patch:
+        patch.setattr(reassign, "MOVES", 0)
+        settled, _ = reassigned(leaves, labels, 25, 100)
+    before = settled.copy()
+    moved, rounds = reassigned(leaves, settled, 25, 1)
+    assert rounds == 0
+    assert not np.array_equal(moved, before)
+    assert np.array_equal(settled, before)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -664,6 +690,12 @@ def test_the_candidate_of_highest_quality_is_chosen_and_marked_once(
     assert (chosen.reassigned, chosen.growth) == (
         reports[winner].reassigned, reports[winner].growth
     )  # fmt: skip
+
+
+def test_growths_above_the_usual_one_are_tried():
+    assert further_growths(1.25) == [1.5, 1.8, 2.1]
+    assert further_growths(1.5) == [1.8, 2.1]
+    assert further_growths(2.1) == []
 
 
 class ThreeBalances(OneBlock):

@@ -7,11 +7,16 @@ from scipy.spatial.transform import Rotation
 
 import nanogs
 import reference_kernels as reference
+from builders import same_pixel
 from nanogs.kernels.side_coverage import AWAY, ENOUGH, THICK
+from nanogs.method.cut import cut
+from nanogs.method.forest import grow_forest
 from nanogs.method.growth import MOST_GROWTH, Cover, covered_around
-from nanogs.method.nodes import Nodes
-from nanogs.method.store import Groups
+from nanogs.method.nodes import Nodes, activate_nodes
+from nanogs.method.parameters import ForestParameters
+from nanogs.method.store import Groups, cover_of, store_groups
 from nanogs.neighbours import nearest_neighbours
+from nanogs.progress import ignore_progress
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
 from nanogs.views.automatic import automatic_cameras
@@ -142,6 +147,20 @@ def test_the_growth_limit_rises_with_coverage():
     half = 1.25 + 0.5 * (MOST_GROWTH - 1.25)
     assert areas(1.25) == pytest.approx([1.25**2, half**2, MOST_GROWTH**2, 1.1], rel=1e-5)
     assert areas(3.0) == pytest.approx(needed, rel=1e-5)
+
+
+def test_all_that_must_grow_beyond_the_usual_limit_are_examined():
+    splats, growth = shell(1000), 1.25
+    leaves = activate_nodes(splats, np.arange(1000), np.zeros(3), same_pixel(0.01))
+    forest = grow_forest(leaves, ForestParameters(), ignore_progress)
+    labels = cut(forest, 80, 0.8)
+    groups = store_groups(leaves, labels, splats, np.zeros(3), same_pixel(0.01), growth=growth)
+    every = cover_of(leaves, labels, 80, same_pixel(0.01))
+    rows, quats = groups.labels[groups.new].astype(np.int32), groups.model.quats[groups.new]
+    covered = covered_around(every, rows, groups.scales, quats)
+    wanting = groups.needed > growth**2
+    assert (covered[wanting & (groups.needed < 2)] > 0).any()
+    assert groups.covered == pytest.approx(np.where(wanting, covered, 0))
 
 
 @pytest.fixture(scope="module")
