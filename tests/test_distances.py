@@ -91,6 +91,11 @@ def test_mip_models_have_no_dilation():
     assert sizes.least == 0
 
 
+def test_the_least_dilation_leaves_out_places_that_hold_much_of_the_model():
+    assert Dilation(np.zeros((3, 3)), np.array([0.0, 3.0, 2.0]), 0.5).least == 1
+    assert Dilation(np.zeros((2, 3)), np.zeros(2), 0.5).least == 0
+
+
 def test_pixel_sizes_equal_the_reference_for_any_number_of_threads():
     rng = np.random.default_rng(0)
     points, anchors, radii = (

@@ -41,7 +41,7 @@ from nanogs.kernels.symmetric3 import covariance, eigen, log_det, mix, shortest_
 from nanogs.method import match as matching
 from nanogs.method.graph import neighbour_pairs
 from nanogs.method.match import MergePlan, match
-from nanogs.method.order import morton_codes
+from nanogs.method.order import codes_in, morton_codes
 from nanogs.method.paper.cost import JITTER, log_masses, pair_costs
 from nanogs.method.paper.merge import merge
 from nanogs.method.paper.parameters import PaperParameters
@@ -473,8 +473,16 @@ def test_morton_codes_interleave_the_bits_of_the_cells():
     assert morton_codes(means).tolist() == [reference.morton_code(cell) for cell in cells]
 
 
-def test_outliers_do_not_put_all_other_splats_into_one_cell():
-    means = np.random.default_rng(16).uniform(size=(1000, 3))
+def test_centres_outside_the_box_are_in_its_border_cells():
+    inside, outside = np.array([[0.0], [1 - 1e-9]]), np.array([[-5.0], [1.0], [7.0]])
+    lowest, highest = codes_in(np.repeat(inside, 3, axis=1), np.zeros(3), 1.0)
+    found = codes_in(np.repeat(outside, 3, axis=1), np.zeros(3), 1.0)
+    assert found.tolist() == [lowest, highest, highest]
+
+
+@pytest.mark.parametrize("depth", [0.0, 1.0])
+def test_outliers_do_not_put_all_other_splats_into_one_cell(depth):
+    means = np.random.default_rng(16).uniform(size=(1000, 3)) * [1, 1, depth]
     means[:5] *= 1e6
     assert len(np.unique(morton_codes(means))) > 950
 
