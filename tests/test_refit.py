@@ -14,11 +14,12 @@ from builders import cloud_pair, model_bytes
 from conftest import peer_path, scene_path
 from nanogs import RefitParameters, refit
 from nanogs.errors import ModelError, OptionError, OutputError
+from nanogs.fit import groups, rounds
 from nanogs.fit.descent import Descent, _bands
 from nanogs.fit.groups import EXACT, ViewGroup, grouped, hold_out, split
 from nanogs.fit.report import RefitStop
-from nanogs.fit.rounds import Validator, _line_search, _round
-from nanogs.fit.shared import fit_shared
+from nanogs.fit.rounds import SHARES, Validator, _line_search, _round
+from nanogs.fit.shared import SharedHarmonics, fit_shared
 from nanogs.fit.stages import refit_stages
 from nanogs.fit.state import (
     LOWEST_LOG_SCALE,
@@ -33,12 +34,13 @@ from nanogs.fit.targets import (
     ALPHA,
     WHITE,
     Fitting,
+    Target,
     compute_gradients,
     make_target,
     squared_error,
     sum_gradients,
 )
-from nanogs.fit.views import view_targets
+from nanogs.fit.views import choose_cameras, view_targets
 from nanogs.io import load
 from nanogs.kernels import backward, damped
 from nanogs.kernels.advance import MOST_DETERMINED
@@ -485,6 +487,9 @@ def test_a_restarted_descent_keeps_its_displacements_from_the_start():
     assert known[:, MOST_DETERMINED].max() > 0.5
     descent.begin(descent.state)
     np.testing.assert_allclose(descent._displacements, known, atol=1e-6)
+    descent.begin(start(splats))
+    assert not descent._displacements[:, :-1].any()
+    assert np.array_equal(descent._displacements[:, MOST_DETERMINED], known[:, MOST_DETERMINED])
 
 
 def test_refit_raises_the_psnr_and_keeps_other_data():
@@ -547,6 +552,83 @@ def test_a_round_is_searched_from_its_end_to_the_best_state_so_far():
     assert share == 0.25
     assert seen == pytest.approx([5, 3, 2])
     assert found.means == pytest.approx(small.means + 2)
+
+
+class Steps:
+    """A descent that moves all centres by 1 in a step; it notes its steps and restarts."""
+
+    def __init__(self, small, parameters):
+        self.parameters, self.state = parameters, start(small)
+        self.state.touched[:] = True
+        self.state.means[0] = 1e39
+        self.taken, self.begun = [], []
+
+    def step(self, *rate_and_share):
+        self.state.means[1:] += 1
+        self.taken.append(rate_and_share)
+        return 0.1 if len(self.taken) % 2 else 0.3
+
+    def begin(self, state):
+        self.begun.append(state.copy())
+        self.state = state.copy()
+
+    def release(self):
+        pass
+
+
+def rounds_with(monkeypatch, kept, **parameters):
+    """Fit in rounds of two steps, of which the guard keeps the given shares."""
+
+    class Guard:
+        def __init__(self, *_given):
+            self.before = self.best = [20.0]
+            self.tries = iter([each == share for share in kept for each in SHARES if each >= share])
+
+        def accepts(self, _state):
+            better = next(self.tries)
+            self.best = [self.best[0] + better]
+            return better
+
+        def delivered(self, state):
+            return state
+
+        def reports(self):
+            return ()
+
+    _, small = cloud_pair()
+    chosen = RefitParameters(rounds=len(kept), steps=2, **parameters)
+    steps = Steps(small, chosen)
+    monkeypatch.setattr(rounds, "AVERAGED", 0.0)
+    monkeypatch.setattr(rounds, "Validator", Guard)
+    monkeypatch.setattr(rounds, "descent_for", lambda *_given: steps)
+    best, outcome = rounds.fit(small, Fitting([]), [], chosen, ignore_progress)
+    return steps, best, outcome
+
+
+def test_rounds_continue_from_what_was_kept_of_them_at_a_lower_rate(monkeypatch):
+    kept = [1, 0.5, 0, 0.25, 1]
+    steps, best, outcome = rounds_with(monkeypatch, kept, rate=2.0)
+    assert [each.share for each in outcome.rounds] == kept
+    rates = [2, 2, 1.4, 0.35, 0.245]
+    assert [each.rate for each in outcome.rounds] == pytest.approx(rates)
+    taken = [(rates[number // 2], number / 10) for number in range(10)]
+    assert np.array(steps.taken) == pytest.approx(np.array(taken))
+    moved = [(state.means - steps.begun[0].means)[1:].mean() for state in (*steps.begun, best)]
+    assert moved == pytest.approx([0, 0, 0.5, 2.5])
+    assert [(each.psnr_before, each.psnr_after) for each in outcome.rounds] == [
+        (20, 21), (21, 22), (22, 22), (22, 23), (23, 24)
+    ]  # fmt: skip
+    assert outcome.rounds[0].fit_psnr == pytest.approx(-10 * math.log10(0.2))
+    assert (outcome.stop, len(outcome.notes)) == (RefitStop.ROUNDS, 1)
+    assert "left the range of float32" in outcome.notes[0]
+
+
+@pytest.mark.parametrize("rate", [1.0, 8.0])
+def test_rounds_end_if_nothing_was_kept_at_a_twentieth_of_the_first_rate(monkeypatch, rate):
+    kept = [0, 0, 0.5, 0.5, 0, 1]
+    _, _, outcome = rounds_with(monkeypatch, kept, rate=rate)
+    assert [each.share for each in outcome.rounds] == kept[:5]
+    assert outcome.stop == RefitStop.OPTIMUM
 
 
 @pytest.mark.parametrize(("rounds", "steps", "averaged"), [(10, 10, 10), (2, 10, 4), (1, 4, 0)])
@@ -690,6 +772,15 @@ def test_the_model_with_a_palette_is_validated_as_it_is_delivered():
     assert outcome.improved
     assert outcome.psnr_after == deciding[0].psnr(prepare(fitted))
     assert len(np.unique(fitted.sh[:, 1:].reshape(len(fitted), -1), axis=0)) == 3
+
+
+def test_splats_that_no_step_moved_get_the_fitted_harmonics_of_their_entry():
+    begun = make_splats(4, degree=1)
+    begun.sh[:, 1:] = [[[0.0] * 3] * 3, [[1.0] * 3] * 3] * 2
+    fitted = dataclasses.replace(begun, sh=begun.sh.copy())
+    fitted.sh[0, 1:] = 7
+    shared = SharedHarmonics.of(np.array([0, 1, 0, 1], np.int32), 2, np.ones(4))
+    assert shared.spread(fitted, begun).sh[:, 1, 0].tolist() == [7, 1, 7, 1]
 
 
 def noisy_pair(n=400):
@@ -850,6 +941,51 @@ def test_views_are_grouped_by_size_and_distance():
     assert [group.name for group in grouped(targets[:3] + targets[20:])] == ["40 to 100 px"]
 
 
+def blank(size, footprint=math.inf):
+    return Target(make_camera(size, size // 2), np.zeros((1, 1, 4), np.uint8), footprint)
+
+
+def test_groups_of_views_need_four_views_of_known_distance():
+    known = [blank(64, footprint) for footprint in (9, 1, 8, 2, 7, 1, 8, 2)]
+    assert [len(group.targets) for group in grouped(known)] == [4, 4]
+    assert [len(group.targets) for group in grouped(known[1:])] == [7]
+    assert [group.name for group in grouped([blank(64)] * 8)] == ["64 px"]
+    alike = [blank(size) for size in (128, 96, 112, 128) * 2]
+    assert [group.name for group in grouped(alike)] == ["96 to 128 px"]
+    assert len(grouped([blank(size) for size in (128, 64) * 4])) == 2
+
+
+def test_about_as_many_validation_views_are_held_out_as_asked():
+    one, two = ([ViewGroup("", (blank(64),) * 12)] * groups for groups in (1, 2))
+    assert [len(group.targets) for group in hold_out(one, 9)] == [3], "a quarter at most"
+    assert [len(group.targets) for group in hold_out(two, 2)] == [2, 2], "two of each"
+    assert [RefitParameters(views=views).held for views in (2, 6, 40)] == [1, 2, 6]
+
+
+def test_the_psnr_of_a_group_is_the_mean_over_its_views(monkeypatch):
+    errors = iter([1e-2, 1e-4, 0.0])
+    monkeypatch.setattr(groups, "squared_error", lambda _model, _target: next(errors))
+    found = ViewGroup("", (blank(64),) * 3).psnr(None)
+    assert found == pytest.approx((20 + 40 - 10 * math.log10(EXACT)) / 3)
+
+
+def test_the_footprint_is_that_of_a_pixel_where_most_is_visible():
+    """A faint veil far behind an opaque splat does not count."""
+    splats = make_splats(2)
+    splats.means[:] = [[0, 0, 4], [0, 0, 40]]
+    splats.log_scales[:] = [[-1] * 3, [3] * 3]
+    splats.opacity_logits[:] = 5, -4
+    camera = dataclasses.replace(make_camera(), fy=60.0)
+    assert make_target(prepare(splats), camera).footprint == pytest.approx(4 / 60, rel=0.1)
+
+
+def test_given_cameras_are_used_evenly():
+    cameras = [dataclasses.replace(make_camera(), name=str(number)) for number in range(21)]
+    kept, further = choose_cameras(cameras, 3, 2, 64)
+    assert (len(kept), len(further)) == (3, 2)
+    assert {camera.name for camera in kept + further} == {"2", "6", "10", "14", "18"}
+
+
 def test_each_view_is_used_either_for_validation_or_for_fitting():
     original, _ = cloud_pair()
     prepared = prepare(original)
@@ -965,6 +1101,24 @@ def test_states_are_interpolated_linearly():
     between = begin.towards(end, 0.25)
     np.testing.assert_allclose(between.means, begin.means + 0.25)
     np.testing.assert_allclose(between.quats, begin.quats)
+    np.testing.assert_allclose(begin.towards(end, 0.5).quats, begin.quats)
+    assert not between.touched.any()
+    end.touched[3] = True
+    assert np.array_equal(begin.towards(end, 0.25).touched, end.touched)
+
+
+def test_displacements_are_measured_from_where_the_fit_began():
+    splats = make_splats(3)
+    splats.log_scales[0, 1] = -np.inf  # begins at the least scale
+    splats.opacity_logits[:2] = np.inf, -np.inf  # the first begins at the highest logit
+    state = start(splats)
+    state.touched[:] = True
+    state.means[:, 2] += 1
+    state.log_scales[0] += 2
+    state.logits[0] -= 3
+    expected = np.zeros((3, 11))
+    expected[:, 2], expected[0, 3:6], expected[0, 10] = 1, 2, -3
+    np.testing.assert_allclose(displacements_of(state, splats)[:, :11], expected, atol=1e-5)
 
 
 def test_a_small_step_lowers_the_error():
