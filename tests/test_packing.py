@@ -324,7 +324,7 @@ def test_a_result_is_packed_with_the_options_that_were_measured(edge_count):
 
 def test_the_slope_is_the_quality_gained_by_more_splats():
     choices = Choices([0], palettes=False)
-    less, more = (PackingReport(0, {}, n, n, 30 + 6 * math.log(n), 0.9) for n in (1000, 1600))
+    less, more = (PackingReport(0, {}, n * n, n, 30 + 6 * math.log(n), 0.9) for n in (1000, 1600))
     assert slope_of(choices, less, more) == pytest.approx(6)
     assert slope_of(choices, less, replace(more, psnr=math.inf)) == SLOPES[1]
     assert slope_of(choices, less, less) == SLOPES[1]

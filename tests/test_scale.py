@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import signal
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +21,9 @@ from builders import model_bytes, random_splats
 from crashes import CrashError
 from nanogs.errors import FormatError, ModelError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
+from nanogs.method.nodes import Nodes
 from nanogs.method.parameters import ForestParameters
+from nanogs.method.reassign import NEIGHBOURS
 from nanogs.pipeline import run, stages
 from nanogs.pipeline.estimates.block_plan import held_bytes, plan_blocks
 from nanogs.pipeline.job import cluster, rows
@@ -34,6 +36,7 @@ from nanogs.pipeline.job.folder import (
     write_manifest,
 )
 from nanogs.pipeline.options.settings import (
+    MOST_SEEN,
     Access,
     FilterCounts,
     InputFile,
@@ -43,15 +46,18 @@ from nanogs.pipeline.options.settings import (
     in_words,
 )
 from nanogs.pipeline.tasks.budget import budget
-from nanogs.pipeline.tasks.forests import BINS, histogram_of, keys, scores_of
+from nanogs.pipeline.tasks.cuts import CENTRES, LABELS, REACH, write_cut
+from nanogs.pipeline.tasks.forests import BINS, histogram_of, keys, passes_of, scores_of
+from nanogs.pipeline.tasks.halo import REACHES, find_halo, near_groups
 from nanogs.pipeline.tasks.partition import partition
 from nanogs.pipeline.tasks.reassigning import keep_every_group
 from nanogs.pipeline.tasks.sorted_segments import DIGEST
 from nanogs.pipeline.tasks.units import Units
+from nanogs.report import PassReport
 from nanogs.source import Layout, Source
 from nanogs.store.columns import CODES
 from nanogs.store.scratch import FolderScratch, open_scratch
-from nanogs.store.tables import Table, read_record, verified, write_table
+from nanogs.store.tables import Record, Table, read_record, verified, write_table
 from torchfiles import TorchFile
 
 FAST = {"preset": "fast", "block": 400, "threads": 1}
@@ -247,6 +253,23 @@ def test_the_budget_takes_the_lowest_scores_of_all_blocks(tmp_path_factory, bloc
     assert budget(scratch, records, target, shifts=given_shifts) == left
 
 
+def test_passes_of_blocks_are_added_up():
+    """A block that needs fewer passes counts with its last nodes."""
+
+    def record(*passes):
+        facts = [
+            asdict(PassReport(before, 5 * before, 1, merged, before - merged, cost, {}))
+            for before, merged, cost in passes
+        ]
+        return Record("grow", {}, {"passes": facts})
+
+    forests = [record((10, 4, 0.9), (6, 5, 2.0)), record((3, 2, 0.75)), record()]
+    assert passes_of(forests) == (
+        PassReport(13, 65, 2, 6, 7, 0.9, {}),
+        PassReport(7, 30, 1, 5, 2, 2.0, {}),
+    )
+
+
 @pytest.mark.parametrize(("block", "blocks"), [(4, 67), (15, 15), (25, 9), (40, 6)])
 def test_small_blocks_are_as_few_as_their_size_allows(tmp_path, block, blocks):
     """A job with a small block has many segments: all their codes are known then."""
@@ -307,6 +330,55 @@ def test_splats_in_one_place_that_fit_into_a_block_are_divided(tmp_path, block):
         nanogs.simplify_blocks(
             tmp_path / "a.ply", tmp_path / "c.ply", ratio=0.5, preset="fast", block=90
         )
+
+
+def compact_groups(number, count=400, groups=100):
+    """Return nodes in a cube of width 1, the group of each, and centres and reaches of groups."""
+    rng = np.random.default_rng(number)
+    labels = rng.permutation(np.arange(count) % groups).astype(np.int32)
+    places = rng.uniform(size=(groups, 3)) + [number, 0, 0]
+    means = places[labels] + rng.normal(0, 0.02, (count, 3))
+    weights, rows = rng.uniform(0.1, 3, count), rng.permutation(count).astype(np.int32)
+    unused = np.zeros((count, 6)), np.empty((0, 0), np.float32)
+    centres = [
+        np.average(means[labels == each], axis=0, weights=weights[labels == each])
+        for each in range(groups)
+    ]
+    apart = np.linalg.norm(np.subtract(centres, np.array(centres)[:, None]), axis=2)
+    reach = np.sort(apart, axis=1)[:, NEIGHBOURS]  # the first one is the group itself
+    return Nodes(weights, weights, means, *unused, rows), labels, np.array(centres), reach
+
+
+def test_the_halo_has_the_nearest_groups_of_other_blocks(tmp_path):
+    scratch, blocks = FolderScratch(tmp_path), [compact_groups(number) for number in range(3)]
+    cuts, by_row = [], []
+    for number, (leaves, labels, centres, reach) in enumerate(blocks):
+        cuts.append(write_cut(scratch, f"cut{number}", leaves, labels, len(centres)))
+        by_row.append(labels[np.argsort(leaves.rows)])
+        with Table(scratch, cuts[-1]) as table:
+            assert table.read(CENTRES) == pytest.approx(centres)
+            assert table.read(REACH) == pytest.approx(reach)
+            assert np.array_equal(table.read(LABELS), by_row[-1])
+    _, _, centres, reach = blocks[1]
+    near = []
+    for block in (0, 2):
+        for group, centre in enumerate(blocks[block][2]):
+            distances = np.linalg.norm(centres - centre, axis=1)
+            nearest = np.argmin(distances)
+            if distances[nearest] < REACHES * reach[nearest]:
+                near.append((distances[nearest] / reach[nearest], block, group))
+    every = {(each.block, group) for each in near_groups(scratch, cuts, 1) for group in each.groups}
+    assert every == {(block, group) for _, block, group in near}
+    assert 20 < len(every) < 180
+    wanted = {(block, group) for _, block, group in sorted(near)[:15]}
+    splats = sum((by_row[block] == group).sum() for block, group in wanted)
+    halo = find_halo(scratch, cuts, 1, int(splats / MOST_SEEN))
+    assert [each.block for each in halo] == [0, 2]
+    assert {(each.block, group) for each in halo for group in each.groups} == wanted
+    for each in halo:
+        rows = np.flatnonzero(np.isin(by_row[each.block], each.groups))
+        assert np.array_equal(each.rows, rows)
+        assert np.array_equal(each.groups[each.labels], by_row[each.block][rows])
 
 
 @given(st.integers(1, 8), st.integers(0, 30), st.integers(0, 10_000))

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -292,10 +293,11 @@ def test_views_survive_json(splats):
 def test_lenses_and_cropped_views_survive_json(splats):
     lens = Lens("OPENCV", above=(0.1, 0.0), tangential=(0.01, 0.0))
     camera = automatic_cameras(splats, 1, width=70, height=50)[0]
-    part = dataclasses.replace(camera.cropped(10, 5, 32, 16), lens=lens)
+    more = {"lens": lens, "near": 0.37, "changed_by": "poses.json"}
+    part = dataclasses.replace(camera.cropped(10, 5, 32, 16), **more)
     again = views_of(json.loads(json.dumps(Views((part,), (), (), ()).to_dict()))).kept[0]
-    np.testing.assert_array_equal(again.intrinsics, part.intrinsics)
-    assert again.lens == lens
+    for field in dataclasses.fields(part):
+        assert np.array_equal(getattr(again, field.name), getattr(part, field.name)), field.name
 
 
 def test_blocks_note_that_lens_distortion_is_left_out(scene, splats, tmp_path):
@@ -369,6 +371,8 @@ def test_block_memory_grows_with_its_size_and_coarse_levels_are_bounded():
     layout, chosen = Layout(3, False, (), "default", (), ()), nanogs.presets["best"]
     peaks = [max(block_stages(n, 10**8, layout, chosen, 0.1).values()) for n in (10**4, 10**6)]
     assert peaks[0] < peaks[1] < 100 * peaks[0]
+    half, whole = (block_stages(10**5, 10**8, layout, chosen, share) for share in (0.5, 1.0))
+    assert half == whole, "a block can keep twice its share"
     assert most_coarse(FINE, 10**6, 10**8) == 10**6
     assert most_coarse(FINE, 10**3, 10**8) == 1 << 18
     assert most_coarse(ROUGH, 10**6, 10**8) == 10**6 // 2
@@ -496,12 +500,16 @@ def test_larger_views_are_expected_to_take_longer():
 @pytest.mark.parametrize("degree", range(4))
 def test_the_memory_named_in_a_refusal_is_enough(preset, degree):
     layout, chosen = Layout(degree, False, (), "default", (), ()), nanogs.presets[preset]
-    with pytest.raises(OptionError, match="must be at least") as refused:
-        plan_blocks(10**7, layout, chosen, (0.1,), 10**8)
-    least = int(re.search(r"at least ([0-9,]+) MB", str(refused.value))[1].replace(",", ""))
-    assert plan_blocks(10**7, layout, chosen, (0.1,), least * 10**6).blocks > 1
-    with pytest.raises(OptionError):
-        plan_blocks(10**7, layout, chosen, (0.1,), (least - 1) * 10**6)
+    for beside in (0, 2 * 10**8):
+        plan = partial(plan_blocks, 10**7, layout, chosen, (0.1,), beside=beside)
+        with pytest.raises(OptionError, match="must be at least") as refused:
+            plan(10**8)
+        least = int(re.search(r"at least ([0-9,]+) MB", str(refused.value))[1].replace(",", ""))
+        found = plan(least * 10**6)
+        assert found.blocks > 1
+        assert 0.9 * least < found.memory / 10**6 <= least
+        with pytest.raises(OptionError):
+            plan((least - 1) * 10**6)
 
 
 def test_a_search_plans_disk_space_for_the_scores_of_plain_cuts():
