@@ -99,6 +99,8 @@ def test_limited_pruning_keeps_the_most_opaque_and_breaks_ties_by_row():
     pruning = prune(np.array([0.1, 0.1, 0.9, 0.8]), 0.5, 3)
     assert pruning.keep.tolist() == [0, 2, 3]
     assert pruning.limited
+    enough = prune(np.array([0.01, 0.02, 0.03]), 0.1, 2)
+    assert (enough.keep.tolist(), enough.limited) == ([1, 2], False)
 
 
 @every_preset
@@ -296,10 +298,21 @@ def test_the_report_has_the_number_of_reassignment_rounds():
     assert whole.reassign_rounds is None
 
 
-def test_merge_cap_bounds_every_pass():
+def test_merge_cap_bounds_every_pass(monkeypatch):
+    match, plans = passes.match, []
+    monkeypatch.setattr(passes, "match", lambda *given: plans.append(match(*given)) or plans[-1])
     _, report = nanogs.simplify(random_splats(200), count=20, tau=0, merge_cap=0.1, preset="paper")
     assert len(report.passes) > 10
     assert all(p.merged <= max(1, p.count_before // 10) for p in report.passes)
+    assert [each.highest_cost for each in report.passes] == [plan.costs.max() for plan in plans]
+    _, report = nanogs.simplify(random_splats(5), count=1, tau=0, merge_cap=0.1, preset="paper")
+    assert [one_pass.merged for one_pass in report.passes] == [1] * 4, "one is always merged"
+
+
+def test_random_neighbours_follow_the_seed():
+    given = {"ratio": 0.8, "preset": "paper", "tau": 0, "graph": "random"}
+    reports = [nanogs.simplify(random_splats(60), seed=seed, **given)[1] for seed in range(4)]
+    assert len({report.passes[0].candidates for report in reports}) > 1
 
 
 # Data that is passed through
