@@ -259,6 +259,18 @@ def test_a_larger_palette_may_need_finer_bits():
     assert (found.per_entry, dict(found.bits)) == (1.5, {"bits": 7})
 
 
+def test_packings_after_the_first_are_made_at_counts_that_about_fill_the_size():
+    """The guess is a fifth too low, as the first result shows."""
+    model = SyntheticModel(1, 1.5, 7)
+    choices = Choices(range(4), palettes=True)
+    choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    first, later = model.made[0][0], [made for made in model.made if made[0] != model.made[0][0]]
+    assert model.bytes_of(first, model.made[0][1]) == pytest.approx(0.8 * SIZE, rel=0.01)
+    assert len(later) == len({packing for packing, _ in later}) > 2
+    for packing, count in later:
+        assert model.bytes_of(packing, count) == pytest.approx(SIZE, rel=0.05)
+
+
 def test_bits_are_compared_at_the_requested_size():
     """The slope is too steep here: by it, 4 bits would be best, then 5; in truth it is 6."""
     model = SyntheticModel(0, 8.0, 6)

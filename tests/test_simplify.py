@@ -200,6 +200,10 @@ def test_zero_scales_and_zero_quaternions(preset):
     small, _ = nanogs.simplify(splats, count=5, preset=preset)
     assert len(small) == 5
     assert small.finite().all()
+    points = splats.take(np.arange(4))
+    points.means[:] = 1
+    point, _ = nanogs.simplify(points, count=1, preset=preset)
+    assert np.isfinite(point.log_scales).all()
 
 
 @every_preset
