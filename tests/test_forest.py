@@ -717,6 +717,12 @@ def test_a_ssim_difference_of_one_fiftieth_equals_one_decibel():
     assert parameters.BALANCES == (0.5, 1.0)
 
 
+def test_the_usual_balance_is_only_used_where_nothing_is_compared():
+    balances = [ForestParameters(**given).balances for given in ({}, {"guided": False})]
+    assert balances == [(0.5, 1.0), (parameters.USUAL_BALANCE,)]
+    assert ForestParameters(balance=0.5).balances == (0.5, 1.0)
+
+
 def test_the_report_lists_all_candidates_and_the_requested_balance():
     _, report = nanogs.simplify(random_splats(60), count=10, balance=0.3)
     assert [c.balance for c in report.candidates[:3]] == [0.3, 0.5, 1.0]

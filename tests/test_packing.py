@@ -592,6 +592,9 @@ def test_packings_chosen_without_rendering_are_as_coarse_as_needed():
     assert unseen_packing(choices, lambda _: 1000, 1000) == candidates[-1]
     shared = replace(choices, own_per_entry=1.0)  # of a format that always has a palette
     assert unseen_packing(shared, lambda _: 1000, 1000) == replace(candidates[-1], per_entry=1.0)
+    flat = replace(shared, degrees=[0])  # without harmonics it has none to share
+    some = {Packing(0, None, (("bits", bits),)): fit for bits, fit in ((7, 700), (8, 879))}
+    assert dict(unseen_packing(flat, some.__getitem__, 1000).bits) == {"bits": 7}
     fitting = lambda packing: 919 if packing.per_entry is None else 1000  # noqa: E731
     assert unseen_packing(choices, fitting, 1000) == replace(candidates[-1], per_entry=LARGER[-1])
     without = unseen_packing(replace(choices, palettes=False), lambda _: 880, 1000)

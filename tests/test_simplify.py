@@ -18,6 +18,7 @@ from builders import model_bytes, random_splats
 from nanogs.activations import rotations
 from nanogs.errors import ModelError, OptionError
 from nanogs.method import match as match_stage
+from nanogs.method.activation import scene_origin
 from nanogs.method.paper import passes
 from nanogs.method.paper.prune import prune
 from nanogs.pipeline.options.presets import PRESETS
@@ -204,6 +205,12 @@ def test_zero_scales_and_zero_quaternions(preset):
     points.means[:] = 1
     point, _ = nanogs.simplify(points, count=1, preset=preset)
     assert np.isfinite(point.log_scales).all()
+
+
+def test_a_stray_does_not_move_the_origin():
+    means = np.random.default_rng(0).normal(5, 1, (100_000, 3)).astype(np.float32)
+    means[0], means[50_000:, 1] = 3e38, 7
+    assert scene_origin(means) == pytest.approx([5, 7, 5], abs=0.5)
 
 
 @every_preset

@@ -128,6 +128,7 @@ def test_the_report_gives_the_visible_share_of_the_model():
     coverages, visible = np.array([2.0, 1.0, 1.0, 1.0]), np.array([1.0, 0.5, 1.0, 0.005])
     missed = np.array([False, False, True, False])
     assert visibility.shown_share(coverages, visible, missed) == pytest.approx(3 / 5)
+    assert visibility.shown_share(np.zeros(4), visible, missed) == 0
     splats = box_with_something_inside()
     cameras = automatic_cameras(splats, 3, width=64, height=64)
     [every, one] = (
@@ -254,6 +255,7 @@ def test_few_further_views_are_kept_in_halves_and_many_are_not_kept():
         len(scene_with_views(splats, None, view_parameters(views=6, steps=0, further=4)).fitting)
         == 5
     )
+    assert [view_parameters(steps=steps, further=4).pictured for steps in (1, 0)] == [4, 0]
 
 
 def test_a_single_view_only_validates_and_nothing_is_fitted():
