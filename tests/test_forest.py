@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,14 +36,16 @@ from nanogs.method.nodes import (
 from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.store import MOST_OPAQUE, store_groups
+from nanogs.method.visibility import LUMA
+from nanogs.metrics import ssim
 from nanogs.pipeline.one_block import OneBlock, whole_settings
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.run import build, deliver
 from nanogs.pipeline.scene import Task
 from nanogs.pipeline.tasks import trials
 from nanogs.progress import Tracker, ignore_progress
-from nanogs.raster.rendering import prepare
-from nanogs.report import PassReport, StopReason
+from nanogs.raster.rendering import prepare, render
+from nanogs.report import CandidateReport, PassReport, StopReason
 from nanogs.sh import basis
 from nanogs.views.automatic import automatic_cameras
 
@@ -645,6 +648,32 @@ def test_similarity_is_measured_on_luma():
     assert green > red > 1.5 * blue > 0
 
 
+def test_errors_of_a_candidate_are_added_up_over_pixels_and_blocks():
+    model = random_splats(200, degree=0)
+    [camera] = automatic_cameras(model, 1, width=48, height=32)
+    target, bright = make_target(prepare(model), camera), model.take(np.arange(200))
+    bright.sh[:] += 3  # beyond white, as screens clip it
+    image = np.clip(render(prepare(bright), camera).color, 0, 1)
+    wanted = target.image[..., :3] / np.float32(255)
+    squares = ((wanted - image) ** 2).mean(axis=2).sum()
+    unlike = 48 * 32 * (1 - ssim(wanted @ LUMA, image @ LUMA))
+    [found] = trials._errors(bright, [target], None)
+    assert found == pytest.approx((squares, unlike), rel=1e-4)
+    assert trials._errors(bright, [None], None) == [(0, 0)]
+
+    def quality_of(*blocks):
+        records = [SimpleNamespace(facts={"errors": [[errors]]}) for errors in blocks]
+        scene = SimpleNamespace(deciding=[camera], of_blocks=lambda *_task: records)
+        unknown = CandidateReport(0.5, 0, False, 1.25, 0, 0, 0, chosen=False)
+        return trials._report(scene, 0, "trial", unknown)
+
+    report = quality_of(found, (squares, unlike), (0, 0))
+    assert report.psnr == pytest.approx(-10 * np.log10(2 * squares / (48 * 32)), rel=1e-4)
+    assert report.ssim == pytest.approx(1 - 2 * unlike / (48 * 32), rel=1e-4)
+    assert report.quality == quality(report.psnr, report.ssim)
+    assert quality_of((0, 0)).psnr == trials.MOST
+
+
 # The candidates: three balances; the best of them after reassignment; the best of these four grown
 # by 1.5, 1.8 and 2.1, until a growth gains less than a tenth of a decibel.
 @pytest.mark.parametrize(("qualities", "first", "growths", "winner"), [
@@ -690,6 +719,14 @@ def test_the_candidate_of_highest_quality_is_chosen_and_marked_once(
     assert (chosen.reassigned, chosen.growth) == (
         reports[winner].reassigned, reports[winner].growth
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(("best", "helped"), [(2, False), (3, True)])
+def test_errors_are_corrected_again_only_if_that_helped(monkeypatch, best, helped):
+    monkeypatch.setattr(trials, "best_cut", lambda *_given: best)
+    scene = scene_with_three_balances()
+    steps = [trials.correction_is_promising(scene, 0, step) for step in (0, 1)]
+    assert steps == [True, helped]
 
 
 def test_growths_above_the_usual_one_are_tried():

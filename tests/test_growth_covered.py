@@ -147,6 +147,9 @@ def test_the_growth_limit_rises_with_coverage():
     half = 1.25 + 0.5 * (MOST_GROWTH - 1.25)
     assert areas(1.25) == pytest.approx([1.25**2, half**2, MOST_GROWTH**2, 1.1], rel=1e-5)
     assert areas(3.0) == pytest.approx(needed, rel=1e-5)
+    less, more = (groups.grown(growth).log_scales for growth in (1.25, 3.0))
+    assert (less[:2].sum(axis=1) < more[:2].sum(axis=1)).all()
+    assert np.array_equal(np.exp(model.log_scales), scales)
 
 
 def test_all_that_must_grow_beyond_the_usual_limit_are_examined():
