@@ -14,7 +14,7 @@ from nanogs.io import registry
 from nanogs.io.ply import write as ply_write
 from nanogs.pipeline import one_block as pipeline_run
 from nanogs.pipeline.options.target import Goal, count_for_size
-from nanogs.pipeline.search.file_size import ENOUGH, search_fit
+from nanogs.pipeline.search.file_size import ENOUGH, fit_size, search_fit
 from nanogs.pipeline.search.file_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.search.file_size import TOLERANCE as CLOSE
 from nanogs.pipeline.search.packer import ChosenPacking, PackingForPsnr
@@ -322,6 +322,27 @@ def test_the_search_continues_below_a_jump_of_the_psnr():
         assert 24.55 <= psnr_of(found.count) <= 24.55 + NEAR_DB
 
 
+def test_the_smallest_count_below_a_jump_that_reaches_the_psnr_is_found():
+    """Counts below it that exceed the span do not end the search either."""
+
+    def psnr_of(count):
+        return 40.0 if count >= 1000 else 35.0 if 780 < count < 870 else 20.0
+
+    found = search_count(psnr_of, 30.0, 1, 10_000, 990)
+    assert found.stop is StopReason.STEP
+    assert [probe.psnr for probe in found.probes[-STEPS:]] == [20, 20, 35, 35, 20, 20]
+    assert found.count == found.probes[-3].count
+
+
+def test_a_range_up_to_an_infinite_psnr_is_halved():
+    def psnr_of(count):
+        return math.inf if count >= 5000 else 20.0
+
+    found = search_count(psnr_of, 30.0, 1, 100_000, 20)
+    assert 5000 <= found.count <= 5050
+    assert len(found.probes) <= 12 + STEPS
+
+
 @pytest.mark.parametrize("seed", range(40))
 def test_a_search_along_a_curve_ends_within_the_span(seed):
     """On bent and noisy curves, with good and bad first guesses."""
@@ -397,6 +418,69 @@ class CountedResults:
 
     def keep(self, result):
         pass
+
+
+@pytest.mark.parametrize(("lack", "tried"), [(3.0, True), (8.0, False)])
+def test_results_are_tried_unless_plain_cuts_are_far_below_the_psnr(lack, tried):
+    made = []
+
+    class Noted(CountedResults):
+        def __init__(self, quick=False):
+            self.quick = quick
+
+        def plain(self, rounds=None):
+            return Noted(quick=True)
+
+        def make(self, count, progress):
+            made.append(count)
+            return count
+
+        def make_and_measure(self, count, measure, progress):
+            if self.quick:
+                return count, measure(count) - lack
+            return self.make(count, progress), measure(count)
+
+    def psnr_of(count):
+        return 20 + count / 100
+
+    def packed(_count):
+        return results, 950
+
+    results, asked = Noted(), 29.0
+    pack = PackingForPsnr(results, None, None, None, Tracker(None, []))
+    result, found = reach_psnr(results, asked, psnr_of, Tracker(None, []), packed, pack.smaller)
+    assert result == found.count
+    if tried:
+        assert found.stop is StopReason.TARGET
+        assert asked <= psnr_of(result) <= asked + NEAR_DB
+    else:
+        assert (result, found.stop, made) == (1000, StopReason.UNREACHED, [1000])
+
+
+def test_a_size_that_no_count_uses_up_is_found_with_plain_cuts():
+    """One result is made then: it uses as much as the cut, whose reason to end is that of both."""
+    made = {"plain": [], "full": []}
+
+    class Noted(CountedResults):
+        def __init__(self, kind="full"):
+            self.kind = kind
+
+        def plain(self, rounds=None):
+            assert rounds is None, "splats are reassigned as in results, for files as large"
+            return Noted("plain")
+
+        def make_and_measure(self, count, measure, progress):
+            made[self.kind].append(count)
+            return count, measure(count)
+
+    def bytes_of(count):
+        return 40_000 + count + 80_000 * (count > 500)
+
+    result, found = fit_size(Noted(), 100_000, 300, bytes_of, Tracker(None, []))
+    assert 495 <= result == found.count <= 500
+    assert made["full"] == [result]
+    assert found.stop is StopReason.STEP
+    assert [probe.count for probe in found.probes] == [*made["plain"], result]
 
 
 @pytest.mark.parametrize(

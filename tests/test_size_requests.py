@@ -17,7 +17,10 @@ from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
 from nanogs.pipeline.search.file_size import (
     MOST_PROBES,
+    SIZE_SAMPLE,
     FittedSize,
+    _along,
+    guess_count,
     little_used,
     search_fit,
     with_ending_on_known,
@@ -272,6 +275,33 @@ def test_the_file_that_is_named_as_too_large_has_more_splats():
     probes = (SizeProbeReport(900, 1010), SizeProbeReport(950, 900), SizeProbeReport(959, 1200))
     (note,) = FittedSize(950, 900, probes, StopReason.STEP).leap(1000, 2000)
     assert note.endswith("because a file of 959 splats takes 1,200 B.")
+    fitted = FittedSize(950, 900, (SizeProbeReport(990, 1300), *probes), StopReason.STEP)
+    assert fitted.leap(1000, 2000) == (note,), "the smallest of those"
+
+
+def test_a_size_below_any_file_is_found_out_soon():
+    tried = []
+    with pytest.raises(TooSmallError, match="takes 1,000 B"):
+        search_fit(lambda count: tried.append(count) or 1000, 999, 10**6, 1, 10**6)
+    assert len(tried) <= MOST_PROBES + 20  # the count is halved at last
+
+
+def test_a_size_that_falls_with_the_count_is_taken_for_noise():
+    falling = [SizeProbeReport(1000, 50_000), SizeProbeReport(980, 50_500)]
+    assert _along(falling, 40_000) == pytest.approx(980 * 40_000 / 50_500)
+
+
+def test_the_first_guess_is_from_splats_of_the_whole_model():
+    """Those at the end of this model take three times the bytes of those at its beginning."""
+    count = 2 * SIZE_SAMPLE
+    sample = random_splats(1).take(np.zeros(count, np.int64))
+    sample.means[:, 0] = np.linspace(10, 30, count)
+
+    def encode(some):
+        return 5000 + int(some.means[:, 0].sum(dtype=np.float64))
+
+    guess = guess_count(sample, 10**7, 10**6, encode)
+    assert guess == pytest.approx((0.993 * 10**6 - 5000) / 20, rel=0.001)
 
 
 @pytest.mark.parametrize(
