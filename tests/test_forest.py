@@ -407,6 +407,7 @@ def test_a_forest_that_ends_early_gives_its_lowest_possible_count(monkeypatch):
     small, report = nanogs.simplify(random_splats(40), count=2, preset="fast")
     assert report.stop == StopReason.NO_PROGRESS
     assert len(small) == report.achieved_count == calls[-1] > 2
+    assert report.asked_count == 2
     assert report.passes[-1].merged == 0
     calls.clear()
     assert nanogs.simplify(random_splats(40), count=30, preset="fast")[1].stop == StopReason.TARGET

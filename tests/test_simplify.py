@@ -379,6 +379,8 @@ def test_an_element_with_a_row_for_each_splat_is_refused(preset):
     )
     with pytest.raises(ModelError, match="sh8"):
         nanogs.simplify(splats, count=5, preset=preset)
+    with pytest.raises(ModelError, match="sh8"):
+        nanogs.levels(splats, [1, 0.5], preset=preset)
 
 
 @not_fitted
