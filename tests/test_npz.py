@@ -16,6 +16,7 @@ from nanogs import io
 from nanogs.errors import FormatError, OutputError
 from nanogs.io import parts, registry
 from nanogs.io.npz import read as npz
+from nanogs.source import source_of
 from nanogs.splats import ExtraElement, RenderMode
 from strategies import assert_same, splats
 
@@ -53,6 +54,16 @@ def test_the_file_size_is_known_before_writing(tmp_path, model):
     assert sizes == sorted(sizes)
 
 
+@pytest.mark.parametrize("limit", [200, 1500, 2500])
+def test_the_size_of_an_archive_beyond_2_gib_is_not_underestimated(tmp_path, monkeypatch, limit):
+    """Entries and the directory are longer beyond the limit, which is lowered here."""
+    monkeypatch.setattr(zipfile, "ZIP64_LIMIT", limit)
+    model = random_splats(9, degree=1, extras={"label": np.arange(9)})
+    io.save(model, tmp_path / "a.npz")
+    size = registry.sizer(tmp_path / "a.npz")(model, 9)
+    assert 0 <= size - (tmp_path / "a.npz").stat().st_size <= 28 + 76
+
+
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 @pytest.mark.parametrize("name", npz.REQUIRED)
 def test_a_checksum_that_does_not_fit_is_refused(tmp_path, name, save):
@@ -85,6 +96,8 @@ def test_files_written_by_numpy_are_read(tmp_path, save):
     assert_same(model, again)
     assert again.notes == ("Arrays nanogs does not know were left out: camera.",)
     assert again.quats.flags.c_contiguous
+    with io.open(tmp_path / "a.npz") as source:  # the array in Fortran order is held whole
+        assert source.memory - (8 << 20) == 2 * again.quats.nbytes
     again.means[0] = 1  # the arrays belong to the model
 
 
@@ -96,6 +109,7 @@ def test_inspect_agrees_with_the_model(tmp_path):
     info = io.inspect(tmp_path / "a.npz")
     assert (info.splats, info.sh_degree, info.double_means) == (7, 3, True)
     assert (info.format, info.encoding, info.render_mode) == ("npz", "zip", RenderMode.SURFEL)
+    assert info.render_tag == "its array render_mode"
     assert info.extras == ("label", "name")
     assert dict(info.properties)["label"] == "short"
     assert info.extra_bytes() == 2 + 8
@@ -119,11 +133,15 @@ def test_comments_and_elements_are_reported_as_losses(tmp_path):
         {"a\0b": np.zeros(2)},
         {"\udcff": np.zeros(2)},
         {"\\": np.zeros(2)},
+        {"a" * 65530: np.zeros(2)},
     ],
 )
 def test_unstorable_columns_are_refused(tmp_path, extras):
+    model = random_splats(2, extras=extras)
     with pytest.raises(OutputError, match="cannot hold"):
-        io.save(random_splats(2, extras=extras), tmp_path / "a.npz")
+        io.save(model, tmp_path / "a.npz")
+    with pytest.raises(OutputError, match="cannot hold"):  # before anything is computed
+        registry.writable(tmp_path / "a.npz").check_columns(source_of(model).columns)
     assert not list(tmp_path.iterdir())
 
 
@@ -162,10 +180,11 @@ def test_pickles_are_refused_unread(tmp_path):
         io.load(tmp_path / "a.npz")
 
 
-def test_stated_sizes_beyond_the_data_are_refused(tmp_path):
+@pytest.mark.parametrize(("count", "data"), [(4000000000, b""), (1, bytes(8))])
+def test_stated_sizes_other_than_the_data_are_refused(tmp_path, count, data):
     write_arrays(tmp_path / "a.npz", random_splats(1))
-    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (4000000000,), }"
-    member = b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header
+    header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': ({count},), }}".encode()
+    member = b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header + data
     with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
         archive.writestr("extra:a.npy", member)
     with pytest.raises(FormatError, match="does not have the size"):
@@ -208,6 +227,54 @@ def test_no_file_stays_open_if_unpacking_fails(tmp_path, monkeypatch):
         with pytest.raises(FormatError, match="damaged"):
             source.read(1, 3)
     assert [file.closed for file in files] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "message"),
+    [(8, 1, "is damaged .*encrypted"), (6, 99, "is damaged .*zip file version 9.9")],
+    ids=["encrypted", "version"],
+)
+def test_archives_that_cannot_be_opened_are_refused(tmp_path, at, value, message):
+    io.save(random_splats(1), tmp_path / "a.npz")
+    data = bytearray((tmp_path / "a.npz").read_bytes())
+    data[data.index(b"PK\1\2") + at] = value
+    (tmp_path / "a.npz").write_bytes(data)
+    with pytest.raises(FormatError, match=message):
+        io.load(tmp_path / "a.npz")
+
+
+def test_other_compression_than_numpy_uses_is_refused(tmp_path):
+    io.save(random_splats(1), tmp_path / "a.npz")
+    with (
+        zipfile.ZipFile(tmp_path / "a.npz") as old,
+        zipfile.ZipFile(tmp_path / "b.npz", "w", zipfile.ZIP_BZIP2) as new,
+    ):
+        for name in old.namelist():
+            new.writestr(name, old.read(name))
+    with pytest.raises(FormatError, match="packed in a way that NumPy never uses"):
+        io.load(tmp_path / "b.npz")
+
+
+@pytest.mark.parametrize("version", [(2, 0), (3, 0)])
+def test_later_versions_of_the_arrays_are_read(tmp_path, version):
+    """Their headers state their length in four bytes."""
+    model = random_splats(5)
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        for name in npz.REQUIRED:
+            out = bytes_io.BytesIO()
+            np.lib.format.write_array(out, getattr(model, name), version)
+            archive.writestr(f"{name}.npy", out.getvalue())
+    assert_same(io.load(tmp_path / "a.npz"), model)
+
+
+def test_an_array_that_is_there_twice_is_refused(tmp_path):
+    io.save(random_splats(1), tmp_path / "a.npz")
+    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+        member = archive.read("sh.npy")
+        with pytest.warns(UserWarning, match="Duplicate name"):
+            archive.writestr("sh.npy", member)
+    with pytest.raises(FormatError, match="overlap"):
+        io.load(tmp_path / "a.npz")
 
 
 def test_a_stored_member_cannot_be_larger_than_the_file(tmp_path):

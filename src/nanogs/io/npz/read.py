@@ -46,8 +46,7 @@ _ZIP_ERRORS = (
     zlib.error,
     struct.error,
     EOFError,
-    NotImplementedError,  # an unknown compression method
-    RuntimeError,  # an encrypted member
+    RuntimeError,  # an encrypted member, or a way of packing that is not known
     ValueError,
     OverflowError,
 )
@@ -254,7 +253,6 @@ def _pieces(archive: zipfile.ZipFile, member: _Member) -> Iterator[Array]:
             if len(data) < rows * row:
                 raise EOFError("an array is cut short")
             yield np.frombuffer(data, member.dtype).reshape(rows, *member.shape[1:])
-        file.read(1)  # reaches the end, where the checksum is verified
 
 
 def _native(array: Array) -> Array:
