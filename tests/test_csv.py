@@ -11,6 +11,8 @@ import nanogs
 from builders import random_splats
 from nanogs import io
 from nanogs.errors import FormatError, OutputError
+from nanogs.io import registry
+from nanogs.source import source_of
 from nanogs.splats import RenderMode
 from strategies import assert_same, splats
 
@@ -94,17 +96,28 @@ def test_losses_name_what_is_rounded_and_left_out():
     )
 
 
+def test_numbers_beyond_single_precision_become_infinite(tmp_path):
+    model = replace(random_splats(3), extras={"far": np.array([1e300, -1e300, 2])})
+    assert "rounded" in io.losses(model, "a.csv")[0]
+    io.save(model, tmp_path / "a.csv")
+    assert io.load(tmp_path / "a.csv").extras["far"].tolist() == [np.inf, -np.inf, 2]
+
+
 @pytest.mark.parametrize(
     ("name", "column", "problem"),
     [
         ("opacity", np.zeros(3), "'opacity' has a splat's own name"),
         ("who", np.array(["a", "b", "c"]), "which .csv cannot hold"),
+        ("phase", np.zeros(3, np.complex64), "is complex64, which .csv cannot hold"),
         ("two\nlines", np.zeros(3), "The name 'two\\\\nlines' holds a line break"),
     ],
 )
 def test_columns_that_no_file_can_hold_are_refused(tmp_path, name, column, problem):
+    model = replace(random_splats(3), extras={name: column})
     with pytest.raises(OutputError, match=problem):
-        io.save(replace(random_splats(3), extras={name: column}), tmp_path / "a.csv")
+        io.save(model, tmp_path / "a.csv")
+    with pytest.raises(OutputError, match=problem):  # before anything is computed
+        registry.writable(tmp_path / "a.csv").check_columns(source_of(model).columns)
     assert not (tmp_path / "a.csv").exists()
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from builders import random_splats
 from damage import outcome
-from ksplatfiles import C0, ksplat, section
+from ksplatfiles import C0, WIDTH, ksplat, section
 from nanogs import io
 from nanogs.errors import FormatError
 
@@ -105,6 +105,18 @@ def test_ranges_of_zero_mean_the_defaults(load):
     assert np.array_equal(same.sh, other.sh)
 
 
+def test_centres_are_steps_of_the_stated_range(load):
+    steps = 1000
+    header, body, model = section(4, 1, 0, changes={24: ("<I", steps)})
+    centre, rows = (
+        np.frombuffer(body[:12], "<f4"),
+        np.frombuffer(body[12:], np.uint8).reshape(4, -1),
+    )
+    stored = np.ascontiguousarray(rows[:, :6]).view("<u2").astype(float)
+    expected = centre + (stored - steps) * (WIDTH / 2 / steps)
+    assert load(ksplat((header, body, model), mode=1)).means == pytest.approx(expected, rel=1e-6)
+
+
 def test_bytes_after_the_last_section_are_noted(load):
     assert load(ksplat(section(3, 0, 0)) + b"12345").notes == (
         "Left out: 5 bytes after the last section.",
@@ -123,7 +135,7 @@ REFUSED = {
     "count": (lambda: ksplat(section(3, 0, 0), count=4), "counts 4 splats"),
     "degree": (lambda: ksplat(section(3, 0, 0, changes={40: ("<H", 4)})), "SH degrees"),
     "degrees": (lambda: ksplat(section(3, 0, 0), section(3, 0, 1)), r"degrees \[0, 1\]"),
-    "splats": (lambda: ksplat(section(3, 0, 0, changes={0: ("<I", 9)}), count=9), "9 splats in 3"),
+    "splats": (lambda: ksplat(section(3, 0, 0, changes={0: ("<I", 4)}), count=4), "4 splats in 3"),
     "rows": (lambda: ksplat(section(3, 0, 0, changes={4: ("<I", HUGE)})), "cut short"),
     "buckets": (lambda: ksplat(section(9, 1, 0, changes={12: ("<I", HUGE)}), mode=1), "cut short"),
     "full": (
@@ -133,6 +145,14 @@ REFUSED = {
     "capacity": (lambda: ksplat(section(9, 1, 0, changes={8: ("<I", 0)}), mode=1), "buckets of a"),
     "bucket bytes": (
         lambda: ksplat(section(9, 1, 0, changes={20: ("<H", 8)}), mode=1),
+        "an impossible layout",
+    ),
+    "wider buckets": (
+        lambda: ksplat(section(9, 1, 0, changes={20: ("<H", 16)}), mode=1) + bytes(12),
+        "an impossible layout",
+    ),
+    "partly filled": (
+        lambda: ksplat(section(9, 1, 0, changes={12: ("<I", 2)}), mode=1),
         "an impossible layout",
     ),
     "width": (

@@ -2,6 +2,7 @@
 
 import json
 import math
+import struct
 import tracemalloc
 
 import numpy as np
@@ -58,6 +59,47 @@ def test_a_splat_made_by_hand_is_read_in_another_frame(tmp_path):
     first = [interpolated(lccfiles.SH, channel, share) for channel, share in enumerate(shares)]
     assert -model.sh[0, 2] == pytest.approx(first, abs=1e-6)
     assert model.notes == ()
+
+
+def test_a_rotation_is_decoded_from_ten_bits_a_component(tmp_path):
+    """The largest component, the third here, is left out; its index counts x, y, z and w."""
+    codes = (700, 300, 900)
+    row = bytearray(lccfiles.row(scale=(0, 65535, 777)))
+    row[22:26] = struct.pack("<I", 2 << 30 | codes[2] << 20 | codes[1] << 10 | codes[0])
+    x, y, w = ((code / 1023 * 2 - 1) * 0.5**0.5 for code in codes)
+    z = (1 - x * x - y * y - w * w) ** 0.5
+    model = io.load(write_files(tmp_path, lccfiles.model([(0, 0, [([row], [])])], depth=1)))
+    ranges, steps = lccfiles.SCALES, (0, 65535, 777)
+    scales = [interpolated(ranges, i, step / 65535) for i, step in enumerate(steps)]
+    axes = turned_by(w, x, y, z) * scales
+    flip = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    expected = flip @ axes @ axes.T @ flip.T
+    assert covariances(model)[0] == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def turned_by(w, x, y, z):
+    """Return the rotation matrix of a unit quaternion."""
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def test_cells_may_be_stored_in_another_order(typical_model):
+    """The rows follow the index, not the data."""
+    whole, index = io.load(typical_model), typical_model.with_name("index.bin")
+    data = index.read_bytes()
+    index.write_bytes(data[72:] + data[:72])
+    again = io.load(typical_model)
+    assert model_bytes(again[:9]) == model_bytes(whole[20:29])
+    assert model_bytes(again[9:29]) == model_bytes(whole[:20])
+
+
+def test_an_empty_environment_is_none(typical_model):
+    whole = io.load(typical_model)
+    typical_model.with_name("environment.bin").write_bytes(b"")
+    assert model_bytes(io.load(typical_model)) == model_bytes(whole[:29])
 
 
 def test_levels_and_the_environment_are_read(typical_model, quality):
@@ -124,9 +166,10 @@ def test_commands_read_lcc(typical_model, tmp_path):
 
 def test_normals_are_left_out_with_a_note(tmp_path):
     rows = [lccfiles.row(), lccfiles.row(normal=(1, 0, 0)), lccfiles.row()]
-    path = write_files(tmp_path, lccfiles.model([(0, 0, [(rows, [])])], depth=1))
+    cells = [(0, 0, [(rows, [])]), (1, 0, [(rows[1:], [])])]
+    path = write_files(tmp_path, lccfiles.model(cells, depth=1))
     assert io.load(path).notes == (
-        "The normals of 1 splat were left out, because their encoding is not known.",
+        "The normals of 2 splats were left out, because their encoding is not known.",
     )
 
 
@@ -230,6 +273,12 @@ def test_damaged_files_are_refused(tmp_path, name):
     with pytest.raises(FormatError, match=words) as caught:
         io.load(write_files(tmp_path, make()))
     assert "; " in str(caught.value)
+
+
+def test_an_index_that_is_too_large_is_refused(typical_model, monkeypatch):
+    monkeypatch.setattr("nanogs.io.lcc.header._MAX_INDEX", 107)  # three cells take 108 bytes
+    with pytest.raises(FormatError, match="or too many; export"):
+        io.load(typical_model)
 
 
 def test_cells_cannot_share_their_splats(tmp_path):

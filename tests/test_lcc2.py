@@ -14,7 +14,7 @@ from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.frames import change_frame
 from nanogs.source import joined_rows
-from nanogs.splats import ExtraElement
+from nanogs.splats import ExtraElement, RenderMode
 from npm_packages import splat_transform
 from part_reading import in_parts
 from strategies import assert_same
@@ -167,6 +167,22 @@ def test_extension_records_are_left_out_with_a_note(tmp_path):
     assert io.load(path).notes == (note,)
     assert io.inspect(path).elements == ()
     assert io.load(path, level=1).notes == ()
+
+
+def test_older_files_may_name_their_parts_with_the_suffix(tmp_path):
+    path, _ = lcc2files.model(tmp_path / "scan", np.random.default_rng(3), old=True)
+    expected = io.load(path)
+    files = ["/a/0.sog", "/a/1.sog", "/b/0", "/env.sog"]
+    change(path, root=json.loads(path.read_text())["root"] | {"files": files})
+    assert_same(io.load(path), expected)
+
+
+def test_notes_on_the_parts_are_kept(tmp_path):
+    path, _ = lcc2files.model(tmp_path / "scan", np.random.default_rng(3), ".spz")
+    part = replace(random_splats(30, degree=1), render_mode=RenderMode.MIP)
+    nanogs.save(part, path.parent / "a" / "0.spz", overwrite=True)
+    [note] = io.load(path).notes
+    assert note.startswith("Its parts have different render modes (default, mip)")
 
 
 FINE, COARSE = [{"child": [lcc2files.node(0, 30)]}], [lcc2files.node(0, 30)]
