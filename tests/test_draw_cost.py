@@ -91,6 +91,14 @@ def test_tile_pairs_are_counted_as_the_rasteriser_lists_them():
     assert cost.most_a_pixel == np.percentile(counts, 99, method="inverted_cdf")
 
 
+def test_a_hundredth_of_the_pixels_may_be_covered_more_often():
+    camera = make_camera(width=20, height=20, focal=10.0)
+    for alpha, pixels, most in ((0.02, 4, 0), (0.5, 12, 1)):  # of 400 pixels
+        splats = one_splat(scale=1e-3, logit=np.log(alpha / (1 - alpha)))
+        assert covered(splats, camera).sum() == pixels
+        assert cost_on(splats, [camera], views_of([camera], "given")).most_a_pixel == most
+
+
 def test_the_largest_share_is_that_of_a_hundredth_of_the_splats():
     camera = make_camera(640, 640, 300.0)
     small = make_splats(199, size=-6.0, spread=0.1)

@@ -597,6 +597,9 @@ def test_levels_that_stop_early_are_named_on_stderr(capsys):
     errors = capsys.readouterr().err
     assert "level_1.ply" in errors
     assert "level_0.ply" not in errors
+    with pytest.raises(typer.Exit):  # levels in chunks have no file of their own
+        exit_if_short(SimpleNamespace(levels=[SimpleNamespace(stop=StopReason.NO_PROGRESS)]))
+    assert "Level 0: stopped before the requested count" in capsys.readouterr().err
 
 
 def test_full_disk_leaves_no_folder(scene, tmp_path):

@@ -22,6 +22,7 @@ from nanogs.cli import options, parsing
 from nanogs.cli.app import app
 from nanogs.cli.examples import EXAMPLES
 from nanogs.cli.groups import with_options
+from nanogs.cli.many import refuse_units
 from nanogs.errors import OptionError
 from nanogs.fit.parameters import RefitParameters
 from nanogs.method.paper.parameters import PaperParameters
@@ -158,6 +159,18 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
 def test_each_wrong_value_has_its_own_error_message(scene, arguments, fragments):
     result = run("simplify", scene, *arguments)
     assert_refused(result, *fragments)
+
+
+def test_words_like_units_may_be_files_or_values_of_other_options(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["nanogs", "simplify", "a.ply", "--size", "2", "MB"])
+    refuse_units([Path("a.ply")])
+    with pytest.raises(OptionError, match="MB is a unit"):
+        refuse_units([Path("a.ply"), Path("MB")])
+    (tmp_path / "MB").write_bytes(b"")
+    refuse_units([Path("a.ply"), Path("MB")])
+    monkeypatch.setattr("sys.argv", ["nanogs", "simplify", "x2", "KB"])
+    refuse_units([Path("x2"), Path("KB")])
 
 
 def test_a_parameter_of_another_name_is_named_by_its_option(scene, tmp_path):

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import nanogs
 from builders import random_splats
-from launch import run
+from launch import run, run_here
 from nanogs.cli.app import app
 from nanogs.errors import ModelError, OptionError
 from nanogs.protocol import Judged, Protocol
@@ -290,6 +290,18 @@ def test_view_writes_a_page_of_one_model(files):
     again = run("view", "scene.ply", "-w", "-q", cwd=files)
     assert (again.returncode, again.stderr) == (0, "")
     assert (files / "scene.html").read_bytes() == before  # the same input, the same bytes
+
+
+@pytest.mark.parametrize(("option", "opened"), [("--json", 0), ("--quiet", 1)])
+def test_a_page_is_not_opened_if_a_program_reads_the_output(
+    files, tmp_path, monkeypatch, option, opened
+):
+    require_bundle()
+    pages = []
+    monkeypatch.setattr("webbrowser.open", lambda address: pages.append(address) or True)
+    monkeypatch.setattr("nanogs.cli.browsing._has_screen", lambda: True)
+    assert run_here("view", files / "scene.ply", "-o", tmp_path / "a.html", option) == 0
+    assert len(pages) == opened
 
 
 def test_view_reports_two_models_as_json(files, tmp_path):

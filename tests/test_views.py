@@ -235,6 +235,16 @@ def test_tiny_models_have_cameras():
         assert np.isfinite(camera.world_to_camera).all()
 
 
+def test_points_without_an_extent_are_seen_from_some_distance():
+    point = cloud(np.zeros((3, 3)))
+    point.log_scales[:] = -np.inf
+    far = cloud(np.full((3, 3), 1e7), 1e-9)  # coordinates are finer than 1e-9 times their size
+    for model, least in ((point, 1.0), (far, 0.01)):
+        for camera in automatic_cameras(model, 4, kind="orbit"):
+            assert 1 < np.linalg.norm(camera.position - model.means[0]) / least < 4
+            assert camera.near > 0
+
+
 def test_a_model_without_visible_splats_is_refused():
     nan = cloud(ball(10))
     nan.means[:] = np.nan
