@@ -110,13 +110,16 @@ def test_failed_rows_and_infinite_psnr_are_left_out_of_curves():
 def test_two_requests_that_gave_files_of_the_same_bytes_count_once():
     rows = [*rows_of("them", BASE), *rows_of("ours", base_plus(2))]
     again = replace(rows[-1], size=4_000_000)
-    [gain] = mean_gains([*rows, again], ["them"])
+    worse = replace(rows[-1], size=8_000_000, psnr=rows[-1].psnr - 5)
+    [gain] = mean_gains([*rows, again, worse], ["them"])
     assert gain.psnr == pytest.approx(2)
 
 
 def test_against_several_methods_the_best_at_each_size_counts():
     one, two = [20, 27.5, 20, 32.0], [24.0, 20, 30.2, 20]
     rows = [*rows_of("one", one), *rows_of("two", two), *rows_of("ours", base_plus(2))]
+    # The best, not the largest.
+    rows = [replace(row, file_bytes=row.size + (1000 if row.psnr == 20 else 0)) for row in rows]
     gains = mean_gains(rows, ["one", "two"])
     assert [gain.first.anchor for gain in gains] == ["one", "two", "one, two"]
     assert gains[2].psnr == pytest.approx(2)
@@ -160,6 +163,10 @@ def test_gains_on_photographs_are_named_so():
                 replace(row, file_bytes=400_000)
                 for row in rows_of("ours", BASE[:2], sizes=SIZES[:2])
             ],
+            "no figures, because they need at least two sizes of each method (a).",
+        ),
+        (
+            [replace(row, status=Status.FAILED) for row in rows_of("ours", BASE)],
             "no figures, because they need at least two sizes of each method (a).",
         ),
         (rows_of("ours", BASE, share=0.01), "the curves share no sizes (a)."),

@@ -55,8 +55,15 @@ def test_exchanging_the_curves_reverses_the_differences():
 
 @pytest.mark.parametrize(
     "other",
-    [[], CURVE[:1], shifted(times=100.0), [(1e6, 20.0), (1e6, 30.0)]],
-    ids=["none", "one", "apart", "one size"],
+    [
+        [],
+        CURVE[:1],
+        shifted(times=100.0),
+        [(4e6, 30.0), (8e6, 35.0)],
+        [(1e6, 20.0), (1e6, 30.0)],
+        [(1e6, 20.0), (1e6, 21.0), (2e6, 30.0)],
+    ],
+    ids=["none", "one", "apart", "one size in common", "one size", "one size twice"],
 )
 def test_without_a_common_interval_of_sizes_the_difference_is_none(other):
     assert bd_quality(CURVE, other) is None
@@ -72,5 +79,7 @@ def test_a_curve_that_falls_has_no_rate():
     falling = [*CURVE[:3], (2e6, 29.0)]
     assert rises(CURVE)
     assert not rises(falling)
+    assert not rises([*CURVE, (8e6, CURVE[-1][1])])
     assert bd_rate(CURVE, falling) is None
+    assert bd_rate(falling, CURVE) is None
     assert bd_quality(CURVE, falling) is not None
