@@ -139,6 +139,14 @@ def test_regular_grids_and_coincident_splats_have_no_floaters():
     assert len(rows_without_floaters([*np.zeros((500, 3)), *cloud(300)])) >= 795
 
 
+@pytest.mark.parametrize(("gap", "left"), [(4.4, 101), (4.6, 100)])
+def test_evenly_spaced_splats_are_no_reason_to_remove_one_a_few_steps_away(gap, left):
+    """The deviation counts as 0.3 at least: up to exp(5 * 0.3) = 4.48 times the distance."""
+    along = np.append(np.arange(100), 99 + gap)
+    model = splats_at(np.stack([along, 0 * along, 0 * along], axis=1))
+    assert len(filters.drop_floaters(model, neighbours=1)) == left
+
+
 def test_drop_floaters_keeps_nonfinite_splats():
     model = splats_at([*cloud(), [np.nan, 0, 0], [60, 0, 0]])
     left = filters.drop_floaters(model)

@@ -9,7 +9,7 @@ import numpy as np
 
 from nanogs.bench.bjontegaard import Curve, bd_quality, bd_rate, rises
 from nanogs.bench.means import unique
-from nanogs.bench.rows import ORIGINAL, BenchRow, SetScore
+from nanogs.bench.rows import BenchRow, SetScore
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def gains(rows: Sequence[BenchRow], others: Sequence[str] = ()) -> list[Gain]:
     Raises:
         OptionError: SciPy is not installed.
     """
-    sized = [row for row in rows if row.size is not None and row.method != ORIGINAL]
+    sized = [row for row in rows if row.size is not None]
     methods = unique(row.method for row in sized)
     anchors = list(others) or methods[:1]
     made = []
