@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import shutil
 
 import numpy as np
 import pytest
@@ -97,9 +98,9 @@ def test_reports_of_blocks_have_the_entries_of_a_run_in_memory(splats, scene, tm
 
 def test_one_call_joins_filters_turns_simplifies_and_measures(splats, scene, tmp_path):
     chosen_filters = [filters.opaque_enough(0.3)]
-    out = tmp_path / "a.ply"
+    out, other = tmp_path / "a.ply", shutil.copy(scene, tmp_path / "other.ply")
     report = nanogs.simplify_blocks(
-        [scene, scene], out, ratio=0.2, filters=chosen_filters, sh_degree=0, frame=("rdf", "rub"),
+        [scene, other], out, ratio=0.2, filters=chosen_filters, sh_degree=0, frame=("rdf", "rub"),
         measured=True, **QUICK,
     )  # fmt: skip
     count_left = 2 * int((splats.opacities() >= 0.3).sum())

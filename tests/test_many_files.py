@@ -318,6 +318,26 @@ def test_a_part_that_is_named_twice_is_taken_once_with_a_note(folder, tmp_path, 
     assert (levels[0]["count"] if levels else report["achieved_count"]) == 65
 
 
+@pytest.mark.parametrize("call", ["simplify_blocks", "write_levels"])
+def test_functions_take_a_part_that_is_given_twice_once_with_a_note(folder, tmp_path, call):
+    first, same = folder / "a.ply", tmp_path / "in" / ".." / "in" / "a.ply"
+    given = [first, folder / "b.spz", first, str(same)]
+    if call == "simplify_blocks":
+        report = nanogs.simplify_blocks(given, tmp_path / "o.ply", ratio=0.5, preset="fast")
+    else:
+        _, [report] = nanogs.write_levels(given, tmp_path / "levels", [0.5], preset="fast")
+    assert report.achieved_count == 65
+    said = "was given more than once and is taken once."
+    assert [note for note in report.notes if note.endswith(said)] == [
+        f"{first} {said}", f"{same} {said}"
+    ]  # fmt: skip
+
+
+def test_levels_of_no_file_are_refused(tmp_path):
+    with pytest.raises(OptionError, match=r"^Give at least one file\.$"):
+        nanogs.write_levels([], tmp_path / "levels")
+
+
 def test_join_makes_one_result_and_takes_no_folder_for_several(folder, tmp_path):
     options = ("--join", "--preset", "fast", "-r", "0.5")
     result = run("simplify", folder, folder / "garden", "--out-dir", tmp_path / "x", *options)

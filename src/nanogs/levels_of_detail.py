@@ -17,11 +17,12 @@ from nanogs.environments import AUTO, NOTHING, EnvironmentRequest, surroundings,
 from nanogs.errors import OptionError
 from nanogs.frames import turned
 from nanogs.io import inspect, registry
+from nanogs.io.collect import as_parts
 from nanogs.io.frames import refuse_frame_written
 from nanogs.io.models import Model, as_splats
 from nanogs.io.retag import in_mode
 from nanogs.io.url_files import refuse_address
-from nanogs.io.urls import as_paths, local_path, path_text
+from nanogs.io.urls import local_path, path_text
 from nanogs.lod.archive import LevelsArchive
 from nanogs.lod.chunks import ChunkLayout
 from nanogs.lod.folder import PLY, LevelsFolder
@@ -84,7 +85,8 @@ def write_levels(
     layout of chunks, each block then has a tree of its own, and the manifest joins them.
 
     Args:
-        model: The model, a source of it, a path, or paths of the parts of one scene.
+        model: The model, a source of it, a path, or paths of the parts of one scene; one that is
+            given twice is taken once, with a note.
         folder: The folder to make.
         ratios: Share of the splats to keep in each level, as for `levels`; by default 1,
             1/2, 1/4 and so on, see `lod.usual.default_ratios`.
@@ -126,7 +128,7 @@ def write_levels(
         ModelError: See `levels`; or the environment has another render mode than the model.
         OutputError: The folder may not be replaced, or it cannot be written.
     """
-    files = () if isinstance(model, Splats | Source) else as_paths(model)
+    files, notes = ((), ()) if isinstance(model, Splats | Source) else as_parts(model)
     for path in files:
         refuse_address(path, "give the source that nanogs.open returns for it")
     held = model if isinstance(model, Splats | Source) else files
@@ -146,7 +148,7 @@ def write_levels(
         inputs=files, output=local_path(folder), goal=Goal(ratio=ratios[0]), ratios=ratios,
         block_layout=block_layout_of(layout, chunk, chunk_min, plain=plain, place=place),
         level_suffix=registry.suffix_of(suffix), overwrite=overwrite, measured=measured,
-        frame=frame, overrides=overrides, **given,
+        frame=frame, overrides=overrides, notes=notes, **given,
     )  # fmt: skip
     if request.block_layout and request.level_suffix not in (PLY, request.block_layout.suffix):
         raise OptionError(

@@ -9,8 +9,9 @@ from pathlib import Path
 from nanogs.errors import FormatError, OptionError
 from nanogs.io import registry
 from nanogs.io.files import unreadable
-from nanogs.io.urls import Address
+from nanogs.io.urls import Address, as_path
 from nanogs.paths import exists, is_file, is_folder
+from nanogs.ranges import one_or_several
 
 # Manifests: a folder with one of these is a single model.
 WHOLE_FOLDERS = (registry.LEVELS, registry.TILESET, registry.META, "meta.lcc2")
@@ -49,9 +50,32 @@ def collect_parts(paths: Iterable[Path]) -> tuple[tuple[Path, ...], tuple[str, .
         FormatError: A folder holds no model.
         OptionError: Nothing matches a pattern.
     """
+    return _each_once(_named(paths))
+
+
+def as_parts(given: object) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Convert an argument that names a file, or the parts of one scene, each file once.
+
+    Args:
+        given: A path or URL, or several.
+
+    Returns:
+        The files, and a note on each that was named again.
+
+    Raises:
+        OptionError: One is no path, or there is none.
+    """
+    paths = one_or_several(given)
+    if not paths:
+        raise OptionError("Give at least one file.")
+    return _each_once(map(as_path, paths))
+
+
+def _each_once(files: Iterable[Path]) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """Return files under any name once, and a note on each that was named again."""
     parts: dict[str, Path] = {}
     notes: list[str] = []
-    for file in _named(paths):
+    for file in files:
         own = str(file) if isinstance(file, Address) else os.path.realpath(file)
         if own in parts:
             notes.append(f"{file} was given more than once and is taken once.")

@@ -14,7 +14,6 @@ from typing import Any, Self
 from urllib.parse import quote, unquote
 
 from nanogs.errors import OptionError
-from nanogs.ranges import one_or_several
 
 if sys.platform == "win32":
     from pathlib import WindowsPath as _Native
@@ -151,15 +150,6 @@ class Address(_Called):
 def is_url(text: object) -> bool:
     """Whether a text is a URL, such as "s3://bucket/scene.ply", and not a path."""
     return isinstance(text, str) and _URL.match(text) is not None
-
-
-def as_paths(given: object) -> tuple[Path, ...]:
-    """Convert an argument that is a path or URL, or several of them, as `as_path` does.
-
-    Raises:
-        OptionError: One is no path.
-    """
-    return tuple(map(as_path, one_or_several(given)))
 
 
 def path_text(name: str, given: object) -> str:

@@ -14,6 +14,7 @@ from nanogs.defaults import PATIENCE
 from nanogs.frames import checked_frames
 from nanogs.io import bytes_on_disk, check_writable, losses, registry, write_model
 from nanogs.io import open as open_model
+from nanogs.io.collect import as_parts
 from nanogs.io.frames import (
     keep_stated_frame,
     refuse_frame_read,
@@ -22,7 +23,7 @@ from nanogs.io.frames import (
 )
 from nanogs.io.limits import degree_left_out
 from nanogs.io.url_files import local_copies
-from nanogs.io.urls import as_path, as_paths, local_path, path_text
+from nanogs.io.urls import as_path, local_path, path_text
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.estimates.stage_weights import measure_stage, write_weight
 from nanogs.pipeline.in_blocks import fill_in_blocks
@@ -91,8 +92,9 @@ def simplify_blocks(
     made; it does depend on the size of the blocks.
 
     Args:
-        inputs: A file, or several that are parts of one scene; or their URLs, which are downloaded
-            first, so that such a job cannot be resumed.
+        inputs: A file, or several that are parts of one scene, of which one that is given twice is
+            taken once, with a note; or their URLs, which are downloaded first, so that such a job
+            cannot be resumed.
         output: The file to write, or a URL to send it to; see `nanogs.save`. Files of .ply,
             .compressed.ply, .splat, .npz, .spz, .rad, .glb and .gltf are written block by block;
             for others the whole result is held in memory.
@@ -147,8 +149,9 @@ def simplify_blocks(
     """
     frame = checked_frames(frame)
     parameters(preset, overrides)  # first, so that a misspelt target is named
+    parts, notes = as_parts(inputs)
     request = Request(
-        inputs=as_paths(inputs), output=as_path(output),
+        inputs=parts, output=as_path(output),
         goal=Goal(ratio, count, None if size is None else as_bytes(size), psnr, draw_cost),
         preset=preset, overrides=overrides, measured=measured,
         max_memory=None if max_memory is None else as_bytes(max_memory), block=block,
@@ -158,12 +161,13 @@ def simplify_blocks(
         render_mode=render_mode, cameras=cameras, up=up, device=device, threads=threads,
         executor=executor, patience=patience,
         format_options=registry.add_target_frame(as_path(output), format_options, frame),
+        notes=notes,
     )  # fmt: skip
     request.check_addresses()
-    inputs, target = request.inputs, request.output
+    target = request.output
     with (
         show_progress(progress) as on_step,
-        local_copies(inputs, target, overwrite=overwrite) as (here, there),
+        local_copies(parts, target, overwrite=overwrite) as (here, there),
     ):
         real = replace(request, inputs=tuple(here), output=there or target)
         return simplify_files(real, on_step)
