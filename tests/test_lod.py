@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import json
+import math
 import os
 import subprocess
 import sys
@@ -324,7 +325,7 @@ def test_a_level_equal_to_the_model_is_shown_with_infinite_psnr(scene, tmp_path)
     assert cells[0][5:7] == ["∞", "1.0000"]
     assert float(cells[1][5]) < 100
     manifest = json.loads((out / "levels.json").read_text())
-    assert manifest["levels"][0]["psnr"] is None
+    assert manifest["levels"][0]["psnr"] == "inf"
     result = run("lod", scene, tmp_path / "fast", "--levels", "1", "--preset", "fast")
     assert [line.split()[5:7] for line in result.stderr.splitlines()[1:2]] == [[NONE, NONE]]
 
@@ -353,10 +354,10 @@ def test_the_same_input_gives_the_same_bytes(scene, tmp_path, out, fitted):
     assert results[0] == results[1]
 
 
-def test_an_infinite_psnr_is_null_in_the_manifest(splats, tmp_path):
+def test_an_infinite_psnr_is_a_text_in_the_manifest(splats, tmp_path):
     manifest, _ = write_levels(splats, tmp_path / "l", [1.0], source="a.ply", measured=True)
-    assert (manifest.levels[0].psnr, manifest.levels[0].ssim) == (None, pytest.approx(1))
-    assert json.loads((tmp_path / "l" / "levels.json").read_text())["levels"][0]["psnr"] is None
+    assert (manifest.levels[0].psnr, manifest.levels[0].ssim) == (math.inf, pytest.approx(1))
+    assert json.loads((tmp_path / "l" / "levels.json").read_text())["levels"][0]["psnr"] == "inf"
 
 
 def test_a_memory_limit_that_suffices_changes_no_bytes(scene, tmp_path):

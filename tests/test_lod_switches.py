@@ -77,7 +77,7 @@ def test_pictures_are_scaled_by_the_size_of_a_pixel_in_the_scene(splats, camera)
     pixel_size = np.median(depth.depth[depth.alpha > 0.5]) / camera.fx
     assert views.pixels[0] == pytest.approx(pixel_size, rel=1e-3)
     found = views.judge(splats, 2 * views.pixels[0])
-    assert astuple(found) == (distance_of(2 * views.pixels[0]), None, pytest.approx(1), 1, 48)
+    assert astuple(found) == (distance_of(2 * views.pixels[0]), math.inf, pytest.approx(1), 1, 48)
     assert not found.seen
 
 
@@ -100,7 +100,7 @@ def test_the_typical_deviation_is_that_along_the_longest_axis(splats):
         (GOOD_PSNR, GOOD_SSIM, False),
         (GOOD_PSNR - 0.01, 1, True),
         (60, GOOD_SSIM - 0.001, True),
-        (None, 1, False),
+        (math.inf, 1, False),
     ],
 )
 def test_a_visible_switch_is_noted(splats, psnr, ssim, visible):

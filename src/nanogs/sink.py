@@ -64,7 +64,7 @@ class Written(NamedTuple):
     notes: Sequence[str] = ()
     costs: Sequence[Sequence[float]] | None = None
     requests: int = 0
-    switch: tuple[float, float | None, float, int, float] | None = None
+    switch: tuple[float, float, float, int, float] | None = None
     environment: Sequence[Any] = ()
 
     @property

@@ -40,7 +40,7 @@ class SwitchQuality:
     Attributes:
         distance: Distance, scene units, at which a pixel has the switch's footprint, for a window
             of `SCREEN` pixels and 45 degrees.
-        psnr: Mean over the views, dB; None if every one equals the original's.
+        psnr: Mean over the views, dB; infinite if every one equals the original's.
         ssim: Mean over the views.
         views: Number of views: the default ones of `nanogs compare`, moved nearer or farther until
             pixels have that footprint.
@@ -48,7 +48,7 @@ class SwitchQuality:
     """
 
     distance: float
-    psnr: float | None
+    psnr: float
     ssim: float
     views: int
     pixels: float
@@ -56,7 +56,7 @@ class SwitchQuality:
     @property
     def seen(self) -> bool:
         """Whether the switch is visible: the quality is below what people rate good."""
-        return (self.psnr is not None and self.psnr < GOOD_PSNR) or self.ssim < GOOD_SSIM
+        return self.psnr < GOOD_PSNR or self.ssim < GOOD_SSIM
 
     @property
     def text(self) -> str:
@@ -71,8 +71,7 @@ class SwitchQuality:
     @property
     def marks(self) -> str:
         """PSNR and SSIM, such as "35.10 dB / 0.9713"."""
-        psnr = "equal" if self.psnr is None else f"{number_text(self.psnr)} dB"
-        return f"{psnr} / {number_text(self.ssim, 4)}"
+        return f"{number_text(self.psnr)} dB / {number_text(self.ssim, 4)}"
 
 
 def streamed_distance(level: int) -> float:

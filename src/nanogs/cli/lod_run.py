@@ -1,6 +1,5 @@
 """`nanogs lod`: plan the levels, make them, in memory or in blocks, and print them."""
 
-import math
 import shlex
 import time
 from collections.abc import Iterator
@@ -191,5 +190,4 @@ def _heading(number: int, level: Level | ChunkedLevel, layout: LodLayout) -> str
 def _cells(level: Level | ChunkedLevel) -> Iterator[str]:
     """Yield the cells of a level's counts and scores."""
     yield from (f"{level.ratio:g}", f"{level.count:,}", bytes_text(level.bytes))
-    equal = level.psnr is None and level.ssim is not None  # the manifest stores infinity as None
-    yield from (number_text(math.inf if equal else level.psnr), number_text(level.ssim, 4))
+    yield from (number_text(level.psnr), number_text(level.ssim, 4))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from nanogs.block_layouts import BlockChunks
 from nanogs.errors import FormatError
 from nanogs.findings import join_findings
+from nanogs.formatting import plain
 from nanogs.io import registry, save
 from nanogs.io.folder import atomic_folder, check_folder_writable, move_folder
 from nanogs.io.format import FormatOptions
@@ -143,7 +144,7 @@ class _Files(LevelsFilling):
         names = [name for each in self.written for name in each.files]
         self.measure(judge, [(self._folder / name, 0) for name in names])
         made = describe_levels(self._source, reports, self.written)
-        text = json.dumps(made.to_dict(), indent=2, allow_nan=False)
+        text = json.dumps(plain(made.to_dict()), indent=2, allow_nan=False)
         (self._folder / manifest.NAME).write_text(text + "\n", encoding="utf-8")
         return made
 

@@ -1,7 +1,6 @@
 """The manifest of levels, which is written as `levels.json` in a folder with one file per level."""
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -30,8 +29,7 @@ class Level:
         count: Number of splats.
         bytes: Size of its file.
         sha256: Hash of its file, hexadecimal.
-        psnr: PSNR in dB, as `nanogs compare` measures the file; None if not measured, or if every
-            view equals the original's.
+        psnr: PSNR in dB, as `nanogs compare` measures the file; None if not measured.
         ssim: SSIM over the same views, or None.
         stop: Why its merging stopped.
         draws: Splats per pixel over the same views, as a share of the original's; None if not
@@ -172,8 +170,6 @@ def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
     ratio = report.asked_ratio
     assert ratio is not None, "levels are asked for by their ratios"  # noqa: S101
     psnr, ssim, _ = written.judged or (None, None, 0)
-    if psnr == math.inf:  # JSON has no infinity
-        psnr = None
     draws = written.drawn[0].share_of(written.drawn[1]) if written.drawn else None
     if not written.sha256:
         return ChunkedLevel(

@@ -6,7 +6,6 @@ switch: for a larger distance the image gets smaller, for a smaller one its cent
 Moving the camera could lead through walls.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -66,9 +65,8 @@ class SwitchViews:
             return None
         del drawn
         means = score("", as_drawn(level, self.max_memory), views, BLACK)
-        psnr = None if math.isinf(means.psnr) else means.psnr
         width = float(np.mean([view.camera.width for view in views]))
-        return SwitchQuality(distance_of(pixel), psnr, means.ssim, len(views), width)
+        return SwitchQuality(distance_of(pixel), means.psnr, means.ssim, len(views), width)
 
 
 def switch_views(
