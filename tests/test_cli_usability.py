@@ -200,6 +200,16 @@ def test_help_fits_a_terminal_of_80_columns(command):
             assert len(f"{line.rstrip()} {after.split()[0]}") > 79, line
 
 
+@pytest.mark.parametrize("command", [None, *EXAMPLES])
+def test_help_in_a_narrow_terminal_has_every_word(command):
+    call = [command] * (command is not None) + ["--help"]
+    narrow, wide = (run(*call, COLUMNS=columns).stdout for columns in ("40", "80"))
+    assert max(map(len, narrow.splitlines())) <= 40
+    assert "Examples:" in narrow or command is None
+    for word in re.findall(r"--[a-z-]+|[A-Za-z]{3,}", wide):
+        assert word in narrow
+
+
 def test_tables_in_pipes_have_no_trailing_blanks(tmp_path):
     scene = tmp_path / "a.ply"
     nanogs.save(random_splats(40), scene)

@@ -1,5 +1,7 @@
 """Help pages in the style of the documentation: usage, metavars and examples."""
 
+import shutil
+import textwrap
 import typing
 from enum import Enum
 from pathlib import Path
@@ -9,6 +11,7 @@ from typer.core import TyperCommand, TyperGroup
 
 _METAVARS = {bool: "", int: "N", float: "X", str: "TEXT", Path: "PATH"}
 """Default metavar for options of each type; flags have none."""
+_PANELS = 80  # columns that the panels need so that none of their words is cut
 
 
 class Command(TyperCommand):
@@ -29,12 +32,29 @@ class Command(TyperCommand):
         arguments = [param for param in params if param.param_type_name == "argument"]
         return [*(param.metavar or param.name.upper() for param in arguments), "[OPTIONS]"]
 
+    def get_short_help_str(self, limit: int = 45) -> str:  # noqa: ARG002 - click's own
+        """Return the first paragraph of the help, whole, for the list of commands."""
+        return " ".join((self.help or "").split("\n\n")[0].split())
+
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - click's own
         """Write the help; its paragraphs fill the lines of the terminal, not of the docstring."""
         _name_values(self, ctx)
         paragraphs = (self.help or "").split("\n\n")
         self.help = "\n\n".join(" ".join(each.split()) for each in paragraphs)
+        _fit(self, formatter)
         super().format_help(ctx, formatter)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - click's own
+        """Write the options under the names of their panels, where there is no room for panels."""
+        panels: dict[str, list[tuple[str, str]]] = {}
+        for param in self.get_params(ctx):
+            if record := param.get_help_record(ctx):
+                panel = getattr(param, "rich_help_panel", None)
+                name = panel or f"{param.param_type_name.capitalize()}s"
+                panels.setdefault(name, []).append(record)
+        for name, records in panels.items():
+            with formatter.section(name):
+                formatter.write_dl(records)
 
 
 class Group(TyperGroup):
@@ -43,12 +63,37 @@ class Group(TyperGroup):
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - click's own
         """Write the help."""
         _name_values(self, ctx)
+        _fit(self, formatter)
         super().format_help(ctx, formatter)
 
 
 def examples_text(lines: typing.Sequence[str]) -> str:
     """Return the examples shown after the options, each on a line of its own."""
     return "\n\n".join(["Examples:", *(f"  {line}" for line in lines)])
+
+
+def _fit(command: Any, formatter: Any) -> None:  # noqa: ANN401 - click's own
+    """On a terminal too narrow for panels, write each help text below its option, without them."""
+    columns = shutil.get_terminal_size().columns
+    if columns >= _PANELS:
+        return
+
+    def write_text(text: str) -> None:
+        indent = " " * formatter.current_indent
+        wrapper = textwrap.TextWrapper(
+            columns, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
+        )
+        formatter.write("\n\n".join(map(wrapper.fill, text.split("\n\n"))) + "\n")
+
+    def write_list(rows: typing.Sequence[tuple[str, str]]) -> None:
+        for name, text in rows:
+            write_text(name)
+            with formatter.indentation():
+                write_text(text)
+
+    command.rich_markup_mode = None
+    formatter.width, formatter.write_text, formatter.write_dl = columns, write_text, write_list
+    formatter.write_heading = lambda heading: write_text(f"{heading}:")
 
 
 def _name_values(command: Any, ctx: Any) -> None:  # noqa: ANN401 - click's own
