@@ -151,9 +151,10 @@ class TilesLevel(Whole):
         tileset = self._tileset
         places = [(file, tile.above) for tile in self._tiles for file in tile.contents]
         models = [gltf.open_gltf(file, above).load() for file, above in places]
-        which = level_note(self._level, tileset.levels())
+        levels = tileset.levels()
+        which = [level_note(self._level, levels)] if levels > 1 else []
         modes = {model.render_mode for model in models}
-        own = [which, *tileset.notes, *mode_notes(modes)]
+        own = [*which, *tileset.notes, *mode_notes(modes)]
         joined = joined_rows(models)
         comments = dict.fromkeys(line for model in models for line in model.comments)
         notes = join_findings([joined.notes, own])
