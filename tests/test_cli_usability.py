@@ -161,6 +161,7 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
         (("simplify", "a", "b", "--nan", "x"), "'--nan': 'x' is not one of 'drop', 'error'"),
         (("simplify", "a", "b", "--preset"), "an argument; see `nanogs simplify --help`"),
         (("info",), "Missing argument 'IN'; see `nanogs info --help`"),
+        (("presets", "fast"), "Too many arguments: fast; see `nanogs presets --help`"),
         (("info", "my", "a.ply", "b.ply"), "arguments: a.ply b.ply (a name with spaces needs"),
     ],
 )

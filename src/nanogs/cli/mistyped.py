@@ -56,7 +56,10 @@ def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
     if message.startswith("No such command"):
         return f"{_unknown_command(message, context)}; `{command}` lists them."
     if extra := re.search(r"unexpected extra argument\S* \((.*)\)", message):
-        return f"Too many arguments: {extra[1]} (a name with spaces needs quotes); see `{command}`."
+        params = context.command.params if context else ()
+        takes_names = any(param.param_type_name == "argument" for param in params)
+        hint = " (a name with spaces needs quotes)" if takes_names else ""
+        return f"Too many arguments: {extra[1]}{hint}; see `{command}`."
     return f"{message.rstrip('.')}; see `{command}`."
 
 
