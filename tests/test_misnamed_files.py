@@ -3,12 +3,14 @@
 import gzip
 import re
 import shutil
+from pathlib import Path
 
 import pytest
 
 import nanogs
 from builders import random_splats
 from nanogs.errors import FormatError
+from nanogs.io import registry
 
 MISNAMED = {
     ".ply": (".splat", ".spz", ".glb", ".rad"),
@@ -56,3 +58,9 @@ def test_a_damaged_compressed_ply_is_not_called_a_ply(tmp_path):
     (tmp_path / "a.compressed.ply").write_bytes(data[:-9])
     with pytest.raises(FormatError, match="cut short"):
         nanogs.load(tmp_path / "a.compressed.ply")
+
+
+def test_a_format_is_found_by_a_text_as_by_a_path():
+    for name in ("a/B.Compressed.PLY", "https://host/a.compressed.ply?key=1"):
+        assert registry.find(name).suffix == ".compressed.ply"
+    assert registry.find("a.txt") is registry.find(Path("a.txt")) is None

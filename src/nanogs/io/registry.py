@@ -4,6 +4,7 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
@@ -12,7 +13,7 @@ from nanogs.formatting import listed
 from nanogs.io.format import Format, FormatOptions, Sizer, Writer, given_options
 from nanogs.io.formats import all_formats, of_name
 from nanogs.io.limits import refusal, refused_splats
-from nanogs.io.urls import Address
+from nanogs.io.urls import Address, as_path
 from nanogs.paths import exists, is_file, is_folder
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
@@ -42,9 +43,13 @@ def formats() -> tuple[Format, ...]:
     return all_formats()
 
 
-def find(path: Path) -> Format | None:
-    """Find the format with the longest suffix that matches a file name; case does not matter."""
-    return of_name(path.name.lower())
+def find(path: str | PathLike[str]) -> Format | None:
+    """Find the format with the longest suffix that matches a file name; case does not matter.
+
+    Raises:
+        OptionError: It is no path.
+    """
+    return of_name(as_path(path).name.lower())
 
 
 def sniff(path: Path) -> str | None:
