@@ -664,6 +664,17 @@ def test_external_files_of_another_degree_or_render_mode_are_noted(model, tmp_pa
     assert drawn_alike.notes == notes[:1]
 
 
+def test_an_external_file_in_another_frame_is_noted(model, tmp_path):
+    options = {"spz_version": 4, "frame": "rub"}
+    nanogs.save(nanogs.load(model), tmp_path / "them.spz", format_options=options)
+    settings = BenchSettings(
+        ratios=(0.1,), methods=(), views=1, sizes=(32,),
+        externals={"them": str(tmp_path / "them.spz")},
+    )  # fmt: skip
+    _, row = run_bench([scene_of_file(model)], settings)
+    assert any("them.spz is in the frame rub and" in note for note in row.notes)
+
+
 def test_the_size_of_an_external_folder_is_that_of_all_its_files(model, tmp_path):
     path = tmp_path / "ball_0.1" / "meta.json"
     nanogs.save(nanogs.load(model).take(np.arange(40)), path)

@@ -297,6 +297,16 @@ def test_models_in_another_frame_than_the_original_are_noted(parts, tmp_path):
     assert nanogs.compare(nanogs.open(odd, format=".ply"), files[0], **see).notes == ()
     done = run_command("view", parts / "a.ply", files[0], "-o", tmp_path / "page.html", "--no-psnr")
     assert f"note: {said} --frame.\n" in done.stderr
+    few = nanogs.RefitParameters(views=2, validation=2, rounds=1, size=16)
+    _, report = nanogs.refit(parts / "a.ply", files[0], parameters=few)
+    in_full = said.replace("rub.spz", str(files[0])).replace("a.ply", str(parts / "a.ply"))
+    assert report.notes[0] == f"{in_full} `frame`."
+    _, report = nanogs.refit(as_arrays, files[0], parameters=few)
+    assert not any("frame" in note for note in report.notes)
+    done = run_command(
+        "refit", parts / "a.ply", files[0], tmp_path / "b.ply", "--views", "2", "--pixels", "16"
+    )
+    assert f"note: {in_full} --frame.\n" in done.stderr
 
 
 def test_a_part_without_a_frame_is_taken_to_be_in_that_of_the_others(parts):

@@ -16,6 +16,8 @@ from nanogs.bench.worker import Job, run_job
 from nanogs.errors import NanogsError, OptionError
 from nanogs.formatting import counted
 from nanogs.io import inspect, load, save
+from nanogs.io import open as open_model
+from nanogs.io.frames import other_frames
 from nanogs.pipeline.options.target import target_count
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import PreparedSplats, prepare, render
@@ -143,15 +145,17 @@ def external_row(
         return skipped_row(scene, name, target, f"There is no file {path}.")
     row = empty_row(scene, name, target)
     try:
+        with open_model(scene.model) as whole, open_model(path) as file:
+            frames = other_frames([(each.name, each) for each in (whole, file)])
+            row = replace(row, file_bytes=file.info.file_bytes, **_producer_figures(path))
         splats = load(path, render_mode=settings.render_mode)
-        row = replace(row, file_bytes=inspect(path).file_bytes, **_producer_figures(path))
     except NanogsError as error:
         return replace(row, status=Status.FAILED, reason=str(error))
     if target.size is not None:
         notes = _size_note(row.file_bytes or 0, target.size)
     else:
         notes = _count_note(len(splats), target_count(finite, target.ratio, None))
-    notes += tuple(layout_notes(source_of(splats).columns, original, "the original"))
+    notes += (*frames, *layout_notes(source_of(splats).columns, original, "the original"))
     return _scored(replace(row, notes=(*notes, *splats.notes)), splats, views, settings)
 
 

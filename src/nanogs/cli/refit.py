@@ -112,6 +112,7 @@ def _refit_files(
     from nanogs.fit.api import refit as library_refit
     from nanogs.io import open as open_model
     from nanogs.io import registry, save
+    from nanogs.io.frames import other_frames
     from nanogs.pipeline.options.cameras import fit_cameras
     from nanogs.progress import Tracker
     from nanogs.threads import use_threads
@@ -127,6 +128,7 @@ def _refit_files(
         ):
             reference, model = large.load(), given.load()
             remarks = [f"{file.name}: {note}" for file in (large, given) for note in file.remarks]
+            remarks += other_frames([(file.name, file) for file in (large, given)])
         count = parameters.views + parameters.held
         views = fit_cameras(reference, cameras, up, count, parameters.size)
         fitted, report = library_refit(

@@ -15,8 +15,9 @@ from nanogs.fit.stages import refit_stages
 from nanogs.formatting import counted, undrawn
 from nanogs.io import registry
 from nanogs.io.format import FormatOptions, given_options, shared_entries
+from nanogs.io.frames import other_frames
 from nanogs.io.limits import refuse_unstorable
-from nanogs.io.models import Model, as_splats
+from nanogs.io.models import Model, as_splats, opened
 from nanogs.progress import PartProgress, Progress, Tracker
 from nanogs.ranges import one_or_several
 from nanogs.splats import Splats
@@ -95,7 +96,12 @@ def refit(
         use_threads(threads) as threads_used,
         show_progress(progress) as on_step,
     ):
-        large, given = as_splats(original, "the original"), as_splats(small, "the small model")
+        with (
+            opened(original, "the original") as first,
+            opened(small, "the small model") as second,
+        ):
+            frames = other_frames([(getattr(each, "name", ""), each) for each in (first, second)])
+            large, given = as_splats(first), as_splats(second)
         unusable = [*_unusable(large, "original"), *_unusable(given, "small")]
         if sharing is not None:  # such a value cannot be part of a shared set either
             refuse_unstorable(given, known.suffix)
@@ -114,6 +120,7 @@ def refit(
         seconds=clock.seconds | report.seconds,
         total_seconds=time.perf_counter() - begin,
         notes=(
+            *frames,
             *_swapped(len(large), len(given)),
             *unusable,
             *camera_notes(cameras or ()),
