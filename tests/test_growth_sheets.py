@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import nanogs
 import reference_kernels as reference
-from nanogs.kernels.sheet_growth import DENSE, FLATNESS
+from nanogs.kernels.sheet_growth import DENSE, FLATNESS, sheet_growths
 from nanogs.method.growth import MOST_GROWTH, area_needs, blocked, growth_on_sheets
 from nanogs.method.nodes import Nodes, gather
 from nanogs.metrics import psnr
@@ -52,9 +52,9 @@ def reference_growth(nodes):
     return np.exp(-(values[0] / values[1]) / FLATNESS**2) * np.sqrt(DENSE / layers)
 
 
-def growths(nodes, growth=0.0):
+def growths(nodes):
     labels = np.zeros(len(nodes), np.int32)
-    return growth_on_sheets(gather(nodes, labels, 1), nodes, labels, growth)
+    return growth_on_sheets(gather(nodes, labels, 1), nodes, labels)
 
 
 @pytest.mark.parametrize("thickness", [0.0, 0.02, 0.05])
@@ -64,8 +64,14 @@ def test_growth_equals_the_reference(thickness, size):
     turn = Rotation.random(random_state=3).as_matrix()
     points = rng.normal(size=(30, 3)) * [1.5, 1, thickness] @ turn.T
     nodes = nodes_at(points, turn @ np.diag([size**2, size**2, 1e-4]) @ turn.T)
+    merged, found = gather(nodes, np.zeros(30, np.int32), 1), np.empty(1)
+    sheet_growths(
+        np.array([0, 30]), np.arange(30, dtype=np.int32), nodes.weights, nodes.means,
+        merged.weights, merged.means, merged.covariances, found,
+    )  # fmt: skip
     assert reference_growth(nodes) < MOST_GROWTH
-    assert growths(nodes) == pytest.approx(reference_growth(nodes), rel=1e-9)
+    assert found == pytest.approx(reference_growth(nodes), rel=1e-9)
+    assert growths(nodes) == max(found[0], 1)
 
 
 def test_only_groups_on_sheets_grow():
@@ -73,9 +79,9 @@ def test_only_groups_on_sheets_grow():
     small = 1e-4 * np.eye(3)
     sheet = rng.normal(size=(20, 3)) * [1, 1, 0]
     line, cloud = sheet * [1, 0.01, 0], rng.normal(size=(20, 3))
-    assert growths(nodes_at(sheet, small), 1.1) == MOST_GROWTH
+    assert growths(nodes_at(sheet, small)) == MOST_GROWTH
     for points in (line, cloud, sheet[:3], np.zeros((20, 3))):
-        assert growths(nodes_at(points, small), 1.1) == 1.1
+        assert growths(nodes_at(points, small)) == 1
 
 
 @pytest.mark.parametrize(

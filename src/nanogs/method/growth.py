@@ -132,7 +132,7 @@ def area_needs(
         wanted = np.where(squares > 0, merged.weights**2 / squares, merged.coverages)
     least = np.ones(len(merged))
     if sheets:
-        most = growth_on_sheets(merged, leaves, labels, 1.0)
+        most = growth_on_sheets(merged, leaves, labels)
         least = np.clip(wanted / areas, 1.0, most**2)
     return blocked(wanted, areas, np.full(len(areas), np.inf)) / areas, least
 
@@ -170,8 +170,8 @@ def covered_around(cover: Cover, groups: I32, scales: F32, quats: F32) -> F64:
     return shares
 
 
-def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -> F64:
-    """Compute the (G,) float64 limits on the growth of each group's axes, higher on flat sheets.
+def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32) -> F64:
+    """Compute the (G,) float64 limits on the growth of each group's axes: 1 except on flat sheets.
 
     Half the light passes between Gaussians that have the moments of the pieces of a sheet, and
     nothing behind the sheet stops it. Pieces of a thicker surface have others behind them.
@@ -180,7 +180,6 @@ def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -
         merged: G nodes from `gather`.
         leaves: M nodes, their members.
         labels: (M,) the group of each member.
-        growth: Largest factor of an axis elsewhere.
     """
     starts, members = member_lists(labels, len(merged))
     growths = np.empty(len(merged))
@@ -188,4 +187,4 @@ def growth_on_sheets(merged: Nodes, leaves: Nodes, labels: I32, growth: float) -
         starts, members, leaves.weights, leaves.means,
         merged.weights, merged.means, merged.covariances, growths,
     )  # fmt: skip
-    return np.maximum(np.minimum(growths, MOST_GROWTH), growth)
+    return np.clip(growths, 1.0, MOST_GROWTH)
