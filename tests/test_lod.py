@@ -40,6 +40,9 @@ def splats():
     return random_splats(400, degree=1)
 
 
+USUAL_PIXELS = {"finer": 1}  # of levels; see `presets.with_usual_pixels`
+
+
 def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
@@ -50,9 +53,10 @@ def names(folder):
 @pytest.mark.parametrize("preset", ["default", "fast", "paper"])
 def test_every_level_equals_the_result_of_simplify(splats, preset, small_views):
     levels = list(nanogs.levels(splats, RATIOS, preset=preset))
+    pixels = USUAL_PIXELS if preset == "default" else {}
     assert [report.asked_ratio for _, report in levels] == list(RATIOS)
     for ratio, (small, report) in zip(RATIOS, levels, strict=True):
-        alone, expected = nanogs.simplify(splats, ratio=ratio, preset=preset)
+        alone, expected = nanogs.simplify(splats, ratio=ratio, preset=preset, **pixels)
         assert model_bytes(small) == model_bytes(alone)
         assert report.asked_count == report.achieved_count == expected.achieved_count
         assert (report.stop, report.candidates) == (StopReason.TARGET, expected.candidates)
@@ -62,7 +66,7 @@ def test_every_level_equals_the_result_of_simplify(splats, preset, small_views):
 def test_levels_are_fitted_at_the_sh_degree_they_keep(splats, preset, small_views):
     levels = list(nanogs.levels(splats, RATIOS, preset=preset, sh_degree=0))
     for ratio, (small, _) in zip(RATIOS, levels, strict=True):
-        alone, _ = nanogs.simplify(splats, ratio=ratio, preset=preset, sh_degree=0)
+        alone, _ = nanogs.simplify(splats, ratio=ratio, preset=preset, sh_degree=0, **USUAL_PIXELS)
         assert small.sh_degree == 0
         assert model_bytes(small) == model_bytes(alone)
     with pytest.raises(OptionError, match="SH degree"):
@@ -79,7 +83,7 @@ def test_levels_in_a_format_without_harmonics_are_fitted_at_degree_0(
     )
     assert sum("harmonics" in note for note in manifest.notes) == 1
     for level, ratio in zip(manifest.levels, RATIOS, strict=True):
-        small, _ = nanogs.simplify(splats, ratio=ratio, sh_degree=0)
+        small, _ = nanogs.simplify(splats, ratio=ratio, sh_degree=0, **USUAL_PIXELS)
         nanogs.save(small, tmp_path / "one.splat", overwrite=True)
         assert (tmp_path / "l" / level.file).read_bytes() == (tmp_path / "one.splat").read_bytes()
 
@@ -134,10 +138,10 @@ def test_bad_ratios_are_refused_at_once(splats, ratios, message):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", ["default", "fast", "paper"])
+@pytest.mark.parametrize("preset", ["fast", "paper"])
 def test_every_file_equals_that_of_the_command_simplify(scene, tmp_path, preset):
     folder = tmp_path / "levels"
-    options = ["--preset", preset, "-q", *(FEW if preset == "default" else [])]
+    options = ["--preset", preset, "-q"]
     result = run("lod", scene, folder, "--levels", "0.5,0.1,0.02", *options)
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
     assert names(folder) == LEVELS
@@ -216,7 +220,7 @@ def test_level_files_are_those_of_simplify_fitted_to_their_palette(inputs, tmp_p
     write_levels(inputs["path"], tmp_path / "l", [0.5, 0.2], suffix=".sog", format_options=options)
     for number, count in enumerate((200, 80)):
         small, _ = nanogs.simplify(
-            inputs["splats"], count=count, format=".sog", format_options=options
+            inputs["splats"], count=count, format=".sog", format_options=options, **USUAL_PIXELS
         )
         assert len(np.unique(small.sh[:, 1:].reshape(count, -1), axis=0)) == 30
         nanogs.save(small, tmp_path / "one.sog", overwrite=True, format_options=options)

@@ -1002,7 +1002,7 @@ def test_the_footprint_is_that_of_a_pixel_where_most_is_visible():
 
 def test_given_cameras_are_used_evenly():
     cameras = [dataclasses.replace(make_camera(), name=str(number)) for number in range(21)]
-    kept, further = choose_cameras(cameras, 3, 2, 64)
+    kept, further = choose_cameras(cameras, 3, 2, 64, 0.7)
     assert (len(kept), len(further)) == (3, 2)
     assert {camera.name for camera in kept + further} == {"2", "6", "10", "14", "18"}
 

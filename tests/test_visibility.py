@@ -368,7 +368,7 @@ def test_no_small_views_where_enough_others_are_from_all_around(
 def test_a_third_of_the_further_views_are_from_all_around():
     splats = box_with_something_inside()
     upright = dataclasses.replace(survey(splats), kind="orbit", band=UPRIGHT)
-    kept, further = choose_cameras(upright, 4, 8, 32)
+    kept, further = choose_cameras(upright, 4, 8, 32, 0.7)
     automatic = cameras_of(upright, range(12), 32, 32)
     around = cameras_of(all_around(upright), range(12), 32, 32)
 
@@ -382,7 +382,7 @@ def test_a_third_of_the_further_views_are_from_all_around():
     usual = automatic[0].dilation
     assert [camera.dilation for camera in kept] == [usual] * 4
     assert [camera.dilation for camera in further] == pytest.approx([usual * 0.7**3] * 8)
-    _, few = choose_cameras(upright, 11, 1, 32)
+    _, few = choose_cameras(upright, 11, 1, 32, 0.7)
     assert few[0].dilation == pytest.approx(usual / 4)  # no finer
     up = upright.turn[2, :3]
     steepest = [max(abs(c.world_to_camera[2, :3] @ up) for c in s) for s in (automatic, around)]

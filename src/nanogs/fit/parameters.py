@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from nanogs.ranges import check_ranges, parameter
 
 KEPT = 64  # views in memory at most: 67 MB for 512 x 512 pixels
+FINER = 0.7  # usual `finer`: people look at larger pictures than views have, and from nearer
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +19,9 @@ class RefitParameters:
         validation: Number of further views, at most, that only decide how much of each round is
             kept; see `held`.
         size: Pixels along the longer side of a view; larger given cameras are reduced to it.
+        finer: Width of a pixel that automatic views show, over that of a picture of their size: the
+            geometric mean of all views (`fit.views.choose_cameras`). Below 1 results are
+            better in larger pictures and from nearer, and worse in small ones.
         rounds: Rounds at most; of each, the part is kept that improves the validation views.
         steps: Steps per round, each on one view.
         rate: Initial learning rate, above 0; 1 goes the whole way to the minimum of the quadratic
@@ -41,6 +45,7 @@ class RefitParameters:
         512, 16, 8192, unit=" pixels", option="pixels", views=True,
         help="Pixels along the longer side of a view; larger cameras are reduced to it.",
     )  # fmt: skip
+    finer: float = parameter(FINER, 0, 1, above=True, views=True)
     rounds: int = parameter(5, 1, help="Rounds of steps; more take longer and fit better.")
     steps: int = parameter(64, 1)
     rate: float = parameter(1.0, above=True)

@@ -17,9 +17,7 @@ from nanogs.views.automatic import Survey, all_around, cameras_of, survey
 
 OVERLAP = 0.02  # smallest share of the original's alpha that the small model must cover
 AROUND = 3  # one in so many of the further automatic views is from all around the model
-# Width of a pixel that automatic views show, over that of a picture of their size: the geometric
-# mean of all views, and the least. People look at larger pictures, and from nearer.
-FINER, FINEST = 0.7, 0.5
+FINEST = 0.5  # least width of a pixel that views show, over that of a picture of their size
 
 
 def view_targets(
@@ -43,7 +41,7 @@ def view_targets(
         )
     kept, more = parameters.kept + parameters.held, parameters.views - parameters.kept
     chosen, further = choose_cameras(
-        cameras or survey(original, habit=False), kept, more, parameters.size
+        cameras or survey(original, habit=False), kept, more, parameters.size, parameters.finer
     )
     prepared = prepare(original).with_buffers()
     targets = [make_target(prepared, camera) for camera in each(chosen, on_progress)]
@@ -68,19 +66,20 @@ def view_targets(
 
 
 def choose_cameras(
-    cameras: Sequence[Camera] | Survey, kept: int, further: int, size: int
+    cameras: Sequence[Camera] | Survey, kept: int, further: int, size: int, finer: float
 ) -> tuple[list[Camera], list[Camera]]:
     """Choose the cameras whose views are kept in memory, and further ones to fit to.
 
     Both are spread evenly over the user's cameras, or are automatic ones, with one in `AROUND`
     of the further ones from all around the model, even if it is a room or stands on a ground. The
-    further automatic ones show some pixels of larger pictures, so that the mean is `FINER`.
+    further automatic ones show some pixels of larger pictures (`Camera.sharpened`).
 
     Args:
         cameras: The user's cameras, or the analysis of the original that automatic ones need.
         kept: Number of cameras whose views are kept, at most.
         further: Number of further cameras, at most.
         size: Pixels along the longer side of a view, at most.
+        finer: See `RefitParameters`; a single pixel's width is at least `FINEST`.
     """
     if isinstance(cameras, Survey):
         around = range(kept, kept + further, AROUND)
@@ -90,7 +89,7 @@ def choose_cameras(
             around, cameras_of(all_around(cameras), around, size, size), strict=True
         ):
             found.insert(number, camera)
-        factor = max(FINER ** ((kept + further) / max(further, 1)), FINEST)
+        factor = max(finer ** ((kept + further) / max(further, 1)), FINEST)
         return found[:kept], [camera.sharpened(factor) for camera in found[kept:]]
     return split_evenly(
         [camera.reduced(size) for camera in pick_evenly(cameras, kept + further)], kept

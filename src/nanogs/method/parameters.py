@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from nanogs.fit.parameters import FINER
 from nanogs.ranges import check_ranges, parameter
 
 USUAL_BALANCE = 0.8  # the safest if nothing is rendered
@@ -40,6 +41,9 @@ class ForestParameters:
             by and to fit to; one in six of them is held out to decide.
         further: Number of further views to fit to. Few are rendered in advance and kept, many are
             rendered when their turn comes.
+        finer: Width of a pixel that automatic views show, over that of a picture of their size: the
+            geometric mean of all views to fit to (`fit.views.choose_cameras`). Below 1 results are
+            better in larger pictures and from nearer, and worse in small ones.
         halves: Whether a step of the fit uses half of its view's pixels, every other block of
             4 x 4: half the work, and a loss of less than 0.1 dB if there are few steps.
         around: Number of small views from all around the model, from above and below too, that are
@@ -66,6 +70,7 @@ class ForestParameters:
         14, 1, views=True, help="Views of the original to choose and fit results by."
     )
     further: int = parameter(16, views=True)
+    finer: float = parameter(FINER, 0, 1, above=True, views=True)
     halves: bool = True
     around: int = parameter(12, views=True)
     view_size: int = parameter(

@@ -38,6 +38,7 @@ from nanogs.pipeline.options.presets import (
     parameters,
     renders,
     with_longer_fit,
+    with_usual_pixels,
 )
 from nanogs.pipeline.options.target import (
     Goal,
@@ -129,6 +130,8 @@ class Request:
         known = registry.find(self.output)
         if known is not None and chooses_packing(self.goal, known):
             object.__setattr__(self, "overrides", with_longer_fit(self.preset, self.overrides))
+        if self.ratios:
+            object.__setattr__(self, "overrides", with_usual_pixels(self.preset, self.overrides))
         # A job is stored as JSON, which has no NumPy integers.
         for name in ("block", "sh_degree"):
             if (value := getattr(self, name)) is not None:

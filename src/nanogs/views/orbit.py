@@ -32,7 +32,7 @@ DETOURS = ((1, 0), (0.85, 0), (0.85, 0.25), (0.7, 0.25), (0.7, 0.5), (0.5, 0.5),
 
 @dataclass(frozen=True, slots=True)
 class Orbit:
-    """What cameras around a model look at, and what is in their way.
+    """The point that cameras around a model look at, and the obstacles in their way.
 
     Attributes:
         centre: (3,) float64, the point that they look at, scene units.

@@ -121,6 +121,19 @@ def with_longer_fit(preset: str, overrides: Mapping[str, Any]) -> dict[str, Any]
     return {**overrides, "steps": SEARCHED_STEPS, "further": further}
 
 
+def with_usual_pixels(preset: str, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Fit levels to pictures as large as the views: people see them from afar.
+
+    The arguments are those of `with_longer_fit`.
+    """
+    own = PRESETS.get(preset) if isinstance(preset, str) else None
+    if not isinstance(own, ForestParameters) or overrides.get("finer") is not None:
+        return dict(overrides)
+    given = overrides.get("steps")
+    fits = own.steps if given is None else given
+    return {**overrides, "finer": 1.0} if fits else dict(overrides)
+
+
 def fit_parameters(parameters: ForestParameters) -> RefitParameters:
     """Return the parameters of the fit of a chosen result: its steps divided into rounds."""
     rounds = max(1, round(parameters.steps / ROUND))
@@ -162,7 +175,7 @@ def effective(chosen: Parameters) -> dict[str, Any]:
         if not chosen.guided:
             unused |= {"hidden", "corrections"}
         if not chosen.steps:
-            unused |= {"further", "halves"}
+            unused |= {"further", "finer", "halves"}
         if not chosen.guided and not chosen.steps:
             views = {name for name, known in known_parameters(chosen).items() if known.views}
             unused |= {"steps"} | views

@@ -87,11 +87,13 @@ def choose_views(scene: "Scene") -> Views:
     found, around = None, list[Camera]()
     try:
         if given:
-            kept, further = choose_cameras(given, parameters.views, more, size)
+            kept, further = choose_cameras(given, parameters.views, more, size, parameters.finer)
         else:
             analysed = survey(some, habit=False)
             found = fit_cameras(some, asked.source, asked.up, wanted, size)
-            kept, further = choose_cameras(found or analysed, parameters.views, more, size)
+            kept, further = choose_cameras(
+                found or analysed, parameters.views, more, size, parameters.finer
+            )
             from_all_sides = analysed.looks_all_around and parameters.views >= parameters.around
             if found or not from_all_sides:
                 # Of the same sequence as automatic ones, but none of the same directions.
