@@ -9,7 +9,7 @@ import pytest
 
 from nanogs.bench.means import mean_rows
 from nanogs.bench.plot import curves, plot
-from nanogs.bench.published import DATASETS
+from nanogs.bench.published import DATASETS, Figures
 from nanogs.bench.published_table import figures_cell, published_table
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status
 from nanogs.bench.tables import json_line, markdown, mean_table, scene_table
@@ -53,6 +53,12 @@ def test_without_a_common_scene_there_is_no_mean_and_a_note():
     (mean,) = mean_rows([row("a", "x"), skipped("a", "y"), skipped("b", "x"), row("b", "y")])
     assert not mean.methods
     assert "no scene has results of all methods" in mean_table([mean])
+
+
+def test_without_any_result_there_is_no_mean_and_all_scenes_are_left_out():
+    (mean,) = mean_rows([skipped("a", "x"), skipped("b", "x")])
+    assert (mean.scenes, mean.left_out) == ((), {"a": (), "b": ()})
+    assert "- At 0.1, left out: a, without any result.\n" in mean_table([mean])
 
 
 def test_a_failed_row_is_no_result_even_if_it_has_a_score():
@@ -172,6 +178,19 @@ def test_skips_and_failures_are_visible_with_their_reason():
     assert "- z at 0.1: failed: boom" in text
 
 
+def test_rows_without_a_score_change_neither_headings_nor_the_number_of_views():
+    scored = row(label="auto 64", further=(SetScore("roam 64", 1, 25.0, 24.0, 0.5),))
+    text = scene_table([skipped("a", "y"), scored])
+    assert "Against the original model, 2 views (auto 64), 1 view (roam 64).\n" in text
+    assert "| PSNR |" in scene_table([skipped("a", "y"), row(label="auto 64")])
+
+
+def test_the_column_of_requests_is_of_sizes_or_ratios():
+    assert scene_table([row()]).split("\n\n")[1].startswith("| method | ratio |")
+    sized = scene_table([row(ratio=None, format=".sog", size=500_000)]).split("\n\n")[1]
+    assert sized.startswith("| method | size |")
+
+
 def test_tables_are_well_formed():
     rows = [row(extras={"lpips": 0.1}, fps_gsplat=100.0), skipped("a", "y"), row("b", notes=("n",))]
     parts = markdown(rows).split("\n\n")
@@ -186,6 +205,8 @@ def test_tables_are_well_formed():
 def test_ablations_are_listed_as_differences_to_the_whole_method():
     text = markdown([row(method="paper", psnr=30), row(method="paper:tau=0", psnr=29.5, ssim=0.95)])
     assert "| 0.1 | paper:tau=0 | 29.50 | 0.950 | -0.50 | +0.050 |" in text
+    equal = markdown([row(method="paper", psnr=30), row(method="paper:tau=0", psnr=math.inf)])
+    assert f"| ∞ | 0.900 | {NONE} | +0.000 |" in equal
     for rows in ([row(method="paper"), row(method="fast:rounds=0")], [row(method="paper:tau=0")]):
         assert "Ablations" not in markdown(rows)
 
@@ -240,7 +261,29 @@ def test_missing_scenes_of_a_data_set_are_named():
     assert "1 of 2 scenes" in published_table(list(published_rows(["train"])))
 
 
+def test_only_photographs_at_ratios_stand_beside_published_figures():
+    rows = list(published_rows(["train"]))
+    assert "Published protocol" in markdown(rows)
+    assert "Published" not in markdown([replace(one, against=Against.ORIGINAL) for one in rows])
+    assert "Published" not in markdown([*rows, replace(rows[0], format=".sog")])
+
+
+def test_further_figures_are_those_of_the_first_ratio():
+    rows = [
+        replace(one, ssim=one.ratio, seconds=one.ratio * 100, extras={}) if one.ratio < 1 else one
+        for one in published_rows(["train"])
+    ]
+    assert f"| 18.00 / .100 / {NONE} / 10 s; 15.00; 13.00 |" in published_table(rows)
+
+
+def test_3dgs_has_no_mean_here_if_a_scene_lacks_it():
+    rows = list(published_rows(["train", "truck"]))
+    failed = replace(rows[0], status=Status.FAILED, psnr=None)
+    assert f"| Tanks & Temples | {NONE} |" in published_table([failed, *rows[1:]])
+
+
 def test_published_figures_are_formatted_as_in_the_paper():
+    assert figures_cell(Figures({})) == f"{NONE}; {NONE}; {NONE}"
     figures = DATASETS["nerf-synthetic"].methods
     assert figures_cell(figures["NanoGS"]) == "25.81 / .910 / .092 / 11 s; 22.28; 19.04"
     assert figures_cell(figures["PUP"]) == "20.24; 13.26; 11.31"
