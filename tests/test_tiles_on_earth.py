@@ -134,6 +134,12 @@ def test_transforms_that_are_no_place_are_described_by_their_numbers():
     assert Place.of(scaled) is None
     far = Place(0, 0, 2e5).matrix()
     assert Place.of(far) is None
+    assert Place.of(Place(8, 47).matrix() @ np.diag([-1.0, 1, 1, 1])) is None
+
+
+def test_angles_that_round_to_zero_have_no_sign():
+    text = text_of(Place(8.5, 47, 400, heading=1e-9, pitch=-1e-9, roll=-1e-9).matrix())
+    assert text == "longitude 8.5, latitude 47, height 400, heading 0, pitch 0, roll 0"
 
 
 REFUSED = {
@@ -169,6 +175,7 @@ def changed(row, column, value):
         (changed(3, 3, 2), "affine"),
         (changed(0, 0, -1), "mirrors or flattens"),
         (changed(0, 0, 0), "mirrors or flattens"),
+        ([[1, 1, 0, 0], [0, 1e-7, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "mirrors or flattens"),
         (changed(0, 0, 1e13), "at most"),
     ],
 )

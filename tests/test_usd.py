@@ -262,8 +262,39 @@ def test_transforms_are_applied(load):
     assert np.abs(loaded.quats[0]) == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5], abs=1e-6)
 
 
+def test_matrices_act_on_row_vectors(load):
+    """The translation is the last row; the first row is where the x axis goes."""
+    body = """matrix4d xformOp:transform = ((0, 1, 0, 0), (-1, 0, 0, 0), (0, 0, 1, 0), (5, 6, 7, 1))
+    uniform token[] xformOpOrder = ["xformOp:transform"]"""
+    loaded = load(layer(prim(body)))
+    assert loaded.means[0] == pytest.approx([-(5 - 2), -(6 + 1), 7 + 3])  # then half a turn
+    assert np.abs(loaded.quats[0]) == pytest.approx([0.5**0.5, 0, 0, 0.5**0.5], abs=1e-6)
+
+
+def test_arrays_in_half_precision_have_names_of_their_own(load):
+    text = layer(prim())
+    half = text.replace("[] positions", "[] positionsh").replace("[] opacities", "[] opacitiesh")
+    half = half.replace("Coefficients =", "Coefficientsh =")
+    assert_same(load(half), load(text))
+
+
+def test_the_degree_is_three_if_none_is_stated(load):
+    text = prim().replace("uniform int radiance:sphericalHarmonicsDegree = 0", "")
+    model = load(layer(text.replace("(0.1, 0.2, 0.3)", ", ".join(["(0.1, 0.2, 0.3)"] * 16))))
+    assert model.sh_degree == 3
+
+
+def test_a_layer_of_several_prims_is_described_by_all_of_them(load, tmp_path):
+    nine = ", ".join(["(1, 2, 3)"] * 4)
+    second = prim(name="B", count=3).replace("Degree = 0", "Degree = 1")
+    model = load(layer(prim(), second.replace("(0.1, 0.2, 0.3)", nine)))
+    info = io.inspect(tmp_path / "a.usda")
+    assert (info.splats, info.sh_degree) == (len(model), model.sh_degree) == (5, 1)
+
+
 def test_z_up_is_converted_too(load):
-    assert load(layer(prim(), metadata='upAxis = "Z"')).means[0] == pytest.approx([-1, -3, -2])
+    for metadata in ('upAxis = "Z"', 'defaultPrim = "Splats"\n    upAxis = "Z"'):
+        assert load(layer(prim(), metadata=metadata)).means[0] == pytest.approx([-1, -3, -2])
 
 
 def test_matrices_and_rotations_equal_those_of_usd(load, tmp_path):
@@ -291,6 +322,11 @@ REFUSED = {
     "brackets": (layer(prim("int a = (3]")), "brackets do not match"),
     "lacks": (layer(prim().replace("scales", "sizes")), "lacks scales"),
     "counts": (layer(prim().replace("opacities = [0.5, ", "opacities = [")), "has 1 number, where"),
+    "more": (layer(prim().replace("opacities = [", "opacities = [1, ")), "has 3 numbers, where"),
+    "half": (layer(prim().replace("Degree = 0", "Degree = 0.5")), "not from 0 to 4"),
+    "infinite": (
+        layer(prim("double3 xformOp:translate = (inf, 0, 0)\nuniform token[] xformOpOrder ="
+                   ' ["xformOp:translate"]')), "needs 3 finite numbers"),
     "words": (layer(prim().replace("0.5, 0.5", "0.5, half")), "not a number"),
     "degree": (layer(prim().replace("Degree = 0", "Degree = 9")), "not from 0 to 4"),
     "none": (layer(prim(count=0)), "holds no splats"),
@@ -306,6 +342,15 @@ REFUSED = {
         layer('def Xform "a" {' * 500), "usda: the prim 'a' has no body, or is nested too deeply"),
     "text": (layer('def "a'), "usda: byte [0-9]+ begins unknown syntax"),
 }  # fmt: skip
+
+
+def test_splats_with_negative_scales_are_counted(load):
+    one = load(layer(prim().replace("scales = [(1, 2, 4)", "scales = [(-1, -2, 4)")))
+    assert one.notes == ("1 splat has a negative scale, which became NaN.",)
+
+
+def test_a_comment_may_end_the_file(load):
+    assert_same(load(layer(prim()) + "\n# the end"), load(layer(prim())))
 
 
 def test_opacities_out_of_range_are_counted(load):
