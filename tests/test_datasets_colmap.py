@@ -70,6 +70,19 @@ def test_a_model_is_found_in_each_usual_folder(tmp_path, subfolder):
     assert find_model(tmp_path) == folder
 
 
+def test_the_model_of_the_innermost_folder_is_preferred(tmp_path):
+    for subfolder in ("sparse/0", "sparse", "."):
+        write_model(tmp_path / subfolder)
+    assert find_model(tmp_path) == tmp_path / "sparse" / "0"
+
+
+def test_a_rotation_that_is_nearly_of_unit_length_is_normalised(tmp_path):
+    image = colmap_image(1, "a.png", np.multiply(QUARTER, 1.0005))
+    (camera,) = read_model(write_model(tmp_path, images=[image]))
+    rotation = camera.world_to_camera[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+
+
 def test_an_incomplete_model_is_not_found(tmp_path):
     (write_model(tmp_path) / "images.bin").unlink()
     assert find_model(tmp_path) is None
@@ -278,6 +291,13 @@ def test_scaling_the_intrinsics_keeps_the_view(tmp_path, size):
     after = np.array([small.fx, small.fy]) * point[:2] / 5 + (small.cx, small.cy)
     np.testing.assert_allclose(after / size, before / (80, 60), rtol=1e-12)
     np.testing.assert_array_equal(small.world_to_camera, camera.world_to_camera)
+
+
+def test_the_sides_of_a_scaled_photograph_may_be_rounded_up_and_down(tmp_path):
+    wide = colmap_camera(size=(1001, 667), params=(700.0, 700.0, 500.0, 333.0))
+    camera = read_model(write_model(tmp_path, [wide]))[0]
+    for size in ((500, 334), (501, 333)):
+        assert (scaled(camera, size, "photo").width, scaled(camera, size, "photo").height) == size
 
 
 def test_scaled_intrinsics_have_the_values_computed_by_hand(tmp_path):

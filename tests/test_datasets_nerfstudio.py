@@ -289,6 +289,13 @@ def test_bad_lists_are_refused(tmp_path, listed):
         data.split("test")
 
 
+def test_an_empty_list_holds_out_no_photograph(tmp_path):
+    data = photographed(tmp_path, 20, test_filenames=[])
+    assert len(data.split("train")) == 20
+    with pytest.raises(NoViewsError):
+        data.split("test")
+
+
 def test_too_few_photographs_leave_none_to_test_on(tmp_path):
     with pytest.raises(NoViewsError, match="use a larger set"):
         photographed(tmp_path, 5).split("test")

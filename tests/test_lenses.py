@@ -189,6 +189,7 @@ def test_lenses_in_transforms_files_are_the_same(tmp_path, model):
     ("coefficients", "message"),
     [
         ({"k1": 0.1, "k4": 0.1}, "PINHOLE, cannot be removed from the photograph"),
+        ({"is_fisheye": True, "k5": 0.1}, "OPENCV_FISHEYE, cannot be removed from the photograph"),
         ({"k1": -3.0}, "too strong to be removed from the photograph"),
     ],
 )

@@ -77,8 +77,7 @@ def _bilinear(photo: F32, across: F64, down: F64) -> F32:
     """Interpolate the photograph at coordinates (R, W); pixel centres are integers. (R, W, C)."""
     height, width = photo.shape[:2]
     across, down = np.clip(across, 0, width - 1), np.clip(down, 0, height - 1)
-    left = np.minimum(across.astype(np.int64), max(width - 2, 0))
-    top = np.minimum(down.astype(np.int64), max(height - 2, 0))
+    left, top = across.astype(np.int64), down.astype(np.int64)
     right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
     along = (across - left).astype(np.float32)[..., None]
     below = (down - top).astype(np.float32)[..., None]
