@@ -152,7 +152,11 @@ def test_chunks_in_separate_files_are_read(tmp_path):
     entries = [{"offset": 0, "bytes": 1, "filename": name} for name in names]
     model = read(tmp_path, rad([], 8, chunks=entries, lodTree=True))
     np.testing.assert_array_equal(model.means, expected["center"][leaves])
-    assert [path.name for path in io.open(tmp_path / "a.rad").files] == ["a.rad", *names]
+    files = io.open(tmp_path / "a.rad").files
+    assert [path.name for path in files] == ["a.rad", *names]
+    assert io.inspect(tmp_path / "a.rad").file_bytes == sum(path.stat().st_size for path in files)
+    with pytest.raises(FormatError, match=r"names a-0\.radc twice"):
+        read(tmp_path, rad([], 8, chunks=[entries[0]] * 2, lodTree=True), "b.rad")
     (tmp_path / names[1]).unlink()
     with pytest.raises(FormatError, match=r"a-1\.radc: no such file"):
         io.load(tmp_path / "a.rad")
