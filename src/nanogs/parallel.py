@@ -11,6 +11,9 @@ import sys
 import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
+
+# Imported at once: Python refuses the first import after the main thread has ended.
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from threading import Lock, local
@@ -19,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, Generic, ParamSpec, TypeVar
 from nanogs.threads import most_threads, usual_threads
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor, Future, ThreadPoolExecutor
+    from concurrent.futures import Executor, Future
 
 _STARTING = 2e-5  # seconds that a call takes longer for each further thread that it starts
 _TURN = 0.1  # seconds after which a thread returns from compiled code: interrupts wait for that
@@ -269,8 +272,6 @@ _own = _Own()
 
 @cache
 def _pool() -> "ThreadPoolExecutor":
-    from concurrent.futures import ThreadPoolExecutor
-
     return ThreadPoolExecutor(most_threads(), initializer=_own.join)
 
 
