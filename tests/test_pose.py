@@ -99,6 +99,15 @@ def test_values_that_are_not_finite_are_no_warning():
     assert np.isfinite(after.means[5]).all()
 
 
+def test_centres_that_become_infinite_are_noted(tmp_path):
+    splats = random_splats(6)
+    splats.means[0] = np.inf
+    assert pose_of_options(2.0, (0, 0, 0), (1, 1, 1)).applied(splats).notes == splats.notes
+    nanogs.save(random_splats(6), tmp_path / "a.ply")
+    report = nanogs.convert(tmp_path / "a.ply", tmp_path / "b.ply", translate=(1e39, 0, 0))
+    assert report.notes == ("6 splats are moved to infinity; move or scale the model less.",)
+
+
 def test_a_source_is_transformed_block_by_block():
     splats = dataclasses.replace(random_splats(500), comments=("Vertical Axis: z",))
     pose = pose_of_options(2.0, (10, 20, 30), (1, 2, 3))

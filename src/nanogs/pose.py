@@ -9,10 +9,12 @@ import numpy as np
 from nanogs._types import F32, F64, Array
 from nanogs.activations import quaternions, rotation_about, rotations
 from nanogs.errors import OptionError
+from nanogs.findings import Finding
 from nanogs.ranges import is_number
 from nanogs.sh import band_matrix
 from nanogs.splats import Splats
 
+_TOO_FAR = "{:splat is|splats are} moved to infinity; move or scale the model less."
 _ROUNDING = 1e-12  # entries of rotations this close to a whole number are one: quarter turns
 
 
@@ -87,7 +89,10 @@ class Pose:
         return result
 
     def applied(self, splats: Splats) -> Splats:
-        """Return N transformed splats; normals are turned, other extra columns are unchanged."""
+        """Return N transformed splats; normals are turned, other extra columns are unchanged.
+
+        A note says how many get an infinite centre.
+        """
         if self.is_identity():
             return splats
         turns = not np.array_equal(self.rotation, np.eye(3))
@@ -95,14 +100,18 @@ class Pose:
             quats, log_scales = self.shapes(
                 splats.quats.astype(np.float64), splats.log_scales.astype(np.float64)
             )
+            means = self.means(splats.means.astype(np.float64)).astype(splats.means.dtype)
+            lost = np.isinf(means).any(axis=1) & np.isfinite(splats.means).all(axis=1)
+            said = [Finding(_TOO_FAR, int(lost.sum()))] if lost.any() else []
             return replace(
                 splats,
-                means=self.means(splats.means.astype(np.float64)).astype(splats.means.dtype),
+                means=means,
                 quats=quats.astype(np.float32) if turns else splats.quats,
                 log_scales=log_scales.astype(np.float32),
                 sh=self.harmonics(splats.sh).astype(np.float32) if turns else splats.sh,
                 extras=dict(splats.extras) | (self._normals(splats.extras) if turns else {}),
                 comments=self.comments(splats.comments),
+                notes=[*splats.notes, *said],
             )
 
     def comments(self, comments: Sequence[str]) -> tuple[str, ...]:
