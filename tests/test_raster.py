@@ -539,7 +539,7 @@ def test_cropped_views_can_be_fitted_to():
 @pytest.mark.parametrize("scale", [1e-3, 0.1, 3.0])
 def test_splats_culled_early_as_beside_the_image_reach_no_pixel(scale):
     random = np.random.default_rng(3)
-    lens = np.array([40.0, 55.0, 20.0, 11.0, 37.0, 21.0, 0.01, 20.0, 11.0, 37.0, 21.0])
+    lens = np.array([40.0, 55.0, 20.0, 11.0, 37.0, 21.0, 0.01, 20.0, 11.0, 37.0, 21.0, 0.3])
     bounds = project_kernels.guard_bounds(lens)
     steepest = (
         40.0**2 * (1 + max(bounds[0] ** 2, bounds[1] ** 2)),
