@@ -207,6 +207,8 @@ def test_help_in_a_narrow_terminal_has_every_word(command):
     narrow, wide = (run(*call, COLUMNS=columns).stdout for columns in ("40", "80"))
     assert max(map(len, narrow.splitlines())) <= 40
     assert "Examples:" in narrow or command is None
+    # The oldest typer's panels also have the names and types of arguments in Python.
+    wide = re.sub(r"^│ [* ] +[a-z]+ +[A-Z_.]{2,}", "", wide, flags=re.MULTILINE)
     for word in re.findall(r"--[a-z-]+|[A-Za-z]{3,}", wide):
         assert word in narrow
 
