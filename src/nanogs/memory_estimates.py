@@ -177,6 +177,7 @@ def _columns_bytes(suffix: str, info: FileInfo) -> int:
     each = _COLUMN.get(suffix, 0) * info.splats
     if suffix != ".spz":
         return each
+    # Imported here, because it takes time when a command starts, and few need it.
     from nanogs.io.spz.header import LAST_GZIP, column_widths
     from nanogs.io.spz.packing import packing_bytes
 

@@ -109,13 +109,9 @@ def with_longer_fit(preset: str, overrides: Mapping[str, Any]) -> dict[str, Any]
         preset: A name in `PRESETS`; any other is left to `parameters`.
         overrides: Parameters by name. If the steps or views of the fit are among them, they stay.
     """
-    own = PRESETS.get(preset) if isinstance(preset, str) else None
+    own = _forest_of(preset)
     given = {name for name, value in overrides.items() if value is not None}
-    if (
-        not isinstance(own, ForestParameters)
-        or not 0 < own.steps < SEARCHED_STEPS
-        or given & {"steps", "further"}
-    ):
+    if own is None or not 0 < own.steps < SEARCHED_STEPS or given & {"steps", "further"}:
         return dict(overrides)
     further = own.further + SEARCHED_STEPS - own.steps
     return {**overrides, "steps": SEARCHED_STEPS, "further": further}
@@ -126,12 +122,17 @@ def with_usual_pixels(preset: str, overrides: Mapping[str, Any]) -> dict[str, An
 
     The arguments are those of `with_longer_fit`.
     """
-    own = PRESETS.get(preset) if isinstance(preset, str) else None
-    if not isinstance(own, ForestParameters) or overrides.get("finer") is not None:
+    own, given = _forest_of(preset), overrides.get("steps")
+    if own is None or overrides.get("finer") is not None:
         return dict(overrides)
-    given = overrides.get("steps")
-    fits = own.steps if given is None else given
-    return {**overrides, "finer": 1.0} if fits else dict(overrides)
+    steps = own.steps if given is None else given  # without steps a note would call it idle
+    return {**overrides, "finer": 1.0} if steps else dict(overrides)
+
+
+def _forest_of(preset: str) -> ForestParameters | None:
+    """Return a preset's parameters; None if it grows no forest, or is no preset."""
+    own = PRESETS.get(preset) if isinstance(preset, str) else None
+    return own if isinstance(own, ForestParameters) else None
 
 
 def fit_parameters(parameters: ForestParameters) -> RefitParameters:
