@@ -1,6 +1,7 @@
 """`nanogs.write_levels`: write levels of detail of a model into a folder, with a manifest.
 
-This is the only module that joins `pipeline`, which makes levels, and `lod`, which lays them out.
+`pipeline`, which makes levels, and `lod`, which lays them out, do not import each other; this
+module and `environments` connect them.
 """
 
 from collections.abc import Callable, Iterable, Sequence
