@@ -320,7 +320,9 @@ def test_comment_bytes_survive_in_any_encoding(load, resave, tmp_path):
 def test_obj_info_becomes_a_comment_with_a_note(load):
     model = load(ply(("vertex", vertex())).replace(b"element", b"obj_info num 3\nelement"))
     assert model.comments == ("num 3",)
-    assert model.notes == ("1 obj_info lines were kept as comments.",)
+    assert model.notes == ("1 obj_info line was kept as a comment.",)
+    model = load(ply(("vertex", vertex())).replace(b"element", b"obj_info a\nobj_info b\nelement"))
+    assert model.notes == ("2 obj_info lines were kept as comments.",)
 
 
 def test_a_source_has_the_comments_of_the_model(tmp_path, load):

@@ -122,6 +122,7 @@ def test_check_writable_uses_a_given_format(tmp_path):
         (without("rot_1", "opacity"), "lacks opacity, rot_1"),
         (ply(("vertex", vertex(3, ["x", "y", "z"]))), "a point cloud or mesh"),
         (rest(*range(10)), "has 10 f_rest properties"),
+        (rest(0), "has 1 f_rest property, but"),
         (rest(*range(1, 10)), "f_rest_0 is missing"),
         (GOOD[:-1], "should have 3 rows of 56 bytes, but only 2 (167 bytes)"),
         (GOOD + b"\0", "1 byte follows the last row"),

@@ -57,7 +57,7 @@ def test_comments_that_no_file_can_hold_are_refused(tmp_path, suffix):
 def test_obj_info_is_kept_in_blocks_too(latin, tmp_path):
     latin.write_bytes(latin.read_bytes().replace(b"comment", b"obj_info num 3\ncomment", 1))
     report = nanogs.convert(latin, tmp_path / "b.rad")
-    assert "1 obj_info lines were kept as comments." in report.notes
+    assert "1 obj_info line was kept as a comment." in report.notes
     assert io.load(tmp_path / "b.rad").comments == ("café", "é", "num 3")
 
 

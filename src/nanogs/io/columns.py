@@ -7,6 +7,7 @@ from typing import Any
 
 from nanogs._types import Array
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.splats import MAX_SH_DEGREE
 
 MEANS = ("x", "y", "z")
@@ -57,8 +58,8 @@ def sh_degree(names: Iterable[str], where: str) -> int:
     degree = DEGREE_OF_REST.get(len(present))
     if degree is None:
         raise FormatError(
-            f"{where} has {len(present)} f_rest properties, but spherical harmonics of degree 0 to"
-            " 4 have 0, 9, 24, 45 or 72; export the file again."
+            f"{where} has {counted(len(present), 'f_rest property', 'f_rest properties')}, but"
+            " spherical harmonics of degree 0 to 4 have 0, 9, 24, 45 or 72; export the file again."
         )
     if missing := [name for name in rest_names(degree) if name not in present]:
         raise FormatError(

@@ -71,7 +71,8 @@ def _unseen(scene: "Scene", shown: float) -> tuple[str, ...]:
     if shown == 0:
         fact = "No view shows the model, so nothing was chosen by how it looks"
     elif blind := scene.blind:
-        fact = f"{blind} of the {len(scene.views.kept)} views show nothing of the model"
+        show = "shows" if blind == 1 else "show"
+        fact = f"{blind} of the {len(scene.views.kept)} views {show} nothing of the model"
     else:
         return ()
     return (f"{fact}; {unseen_cause(given=bool(scene.settings.asked.cameras))}.",)

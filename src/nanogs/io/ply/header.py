@@ -9,6 +9,7 @@ from typing import BinaryIO
 import numpy as np
 
 from nanogs.errors import FormatError
+from nanogs.formatting import counted
 from nanogs.io import render_tag
 from nanogs.io.files import input_size, reading
 from nanogs.io.texts import decode, printable
@@ -109,7 +110,8 @@ def header_notes(header: Header) -> list[str]:
     """Return notes on parts of the header that `Splats` holds in another form, or not at all."""
     notes = render_tag.contradiction(header.all_comments)
     if header.obj_info:
-        notes.append(f"{len(header.obj_info)} obj_info lines were kept as comments.")
+        one, more = "obj_info line was kept as a comment", "obj_info lines were kept as comments"
+        notes.append(f"{counted(len(header.obj_info), one, more)}.")
     for element in header.elements:
         if element.count == 0 and (element.lists() or not element.properties):
             notes.append(f"The empty element {printable(element.name)!r} was left out.")
