@@ -52,6 +52,21 @@ def test_what_the_format_leaves_out_is_noted(files, tmp_path):
     assert "32 px" not in result.stderr, "only with -v"
 
 
+def test_notes_on_reading_both_models_are_printed(files, tmp_path):
+    """As by `simplify` and `view`; each is named once, the one on the render mode too."""
+    for name in ("original", "small"):
+        data = (files / f"{name}.ply").read_bytes()
+        (tmp_path / f"{name}.ply").write_bytes(data.replace(b"element", b"obj_info a\nelement", 1))
+    arguments = [tmp_path / "original.ply", tmp_path / "small.ply", tmp_path / "out.ply"]
+    quick = ["--views", "2", "--pixels", "32", "--rounds", "1", "--render-mode", "mip"]
+    result = run("refit", *arguments, *quick, "--json")
+    assert result.returncode == 0
+    notes = json.loads(result.stdout)["notes"]
+    for path in arguments[:2]:
+        assert notes.count(f"{path}: 1 obj_info line was kept as a comment.") == 1
+        assert sum(f"{path}: " in note for note in notes) == 2, "the other is on the render mode"
+
+
 def test_given_cameras_set_the_size_of_the_views(files, tmp_path):
     cameras = automatic_cameras(nanogs.load(files / "original.ply"), 8, width=64, height=48)
     poses = [np.linalg.inv(each.world_to_camera) * [1, -1, -1, 1] for each in cameras]

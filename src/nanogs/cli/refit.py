@@ -127,7 +127,8 @@ def _refit_files(
             open_model(small, render_mode=mode) as given,
         ):
             reference, model = large.load(), given.load()
-            remarks = [f"{file.name}: {note}" for file in (large, given) for note in file.remarks]
+            loaded = ((large.name, reference), (given.name, model))
+            remarks = [f"{name}: {note}" for name, each in loaded for note in each.notes]
             remarks += other_frames([(file.name, file) for file in (large, given)])
         count = parameters.views + parameters.held
         views = fit_cameras(reference, cameras, up, count, parameters.size)
