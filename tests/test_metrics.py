@@ -100,9 +100,9 @@ def test_colours_are_clipped_to_the_range_0_to_1():
 
 def test_broadcastable_and_empty_shapes_are_refused():
     for a, b, words in [
-        (IMAGE, IMAGE[:, :, :1], "images must have the same size"),
-        (IMAGE[:0], IMAGE[:0], "an image must be"),
-        (IMAGE[0, 0], IMAGE[0, 0], "an image must be"),
+        (IMAGE, IMAGE[:, :, :1], "Images must have the same size"),
+        (IMAGE[:0], IMAGE[:0], "An image must be"),
+        (IMAGE[0, 0], IMAGE[0, 0], "An image must be"),
     ]:
         with pytest.raises(OptionError, match=words):
             psnr(a, b)

@@ -29,7 +29,7 @@ def check_arrays(*images: object) -> None:
     for image in images:
         if not isinstance(image, np.ndarray):
             kind = type(image).__name__
-            raise OptionError(f"images must be NumPy arrays, not {kind}; np.asarray makes them.")
+            raise OptionError(f"Images must be NumPy arrays, not {kind}; np.asarray makes them.")
 
 
 def check_pair(a: Array, b: Array) -> None:
@@ -42,13 +42,13 @@ def check_pair(a: Array, b: Array) -> None:
     check_arrays(a, b)
     for image in (a, b):
         if image.ndim not in (2, 3) or image.size == 0:
-            raise OptionError(f"an image must be (H, W) or (H, W, C), not {image.shape}.")
+            raise OptionError(f"An image must be (H, W) or (H, W, C), not {image.shape}.")
         if not np.issubdtype(image.dtype, np.floating):
             raise OptionError(
-                f"images must be floats in [0, 1], not {image.dtype}; divide 8-bit values by 255."
+                f"Images must be floats in [0, 1], not {image.dtype}; divide 8-bit values by 255."
             )
     if a.shape != b.shape:
-        raise OptionError(f"images must have the same size, not {a.shape} and {b.shape}.")
+        raise OptionError(f"Images must have the same size, not {a.shape} and {b.shape}.")
 
 
 def image_pair(a: Array, b: Array) -> tuple[F64, F64]:
@@ -81,5 +81,5 @@ def colour_pair(a: Array, b: Array) -> tuple[F64, F64]:
     """
     first, second = image_pair(a, b)
     if first.ndim != 3 or first.shape[2] != 3:
-        raise OptionError(f"this metric needs RGB images (H, W, 3), not {first.shape}.")
+        raise OptionError(f"This metric needs RGB images (H, W, 3), not {first.shape}.")
     return first.clip(0, 1), second.clip(0, 1)

@@ -31,14 +31,14 @@ def depth_error(depth: F, alpha: F, reference_depth: F, reference_alpha: F) -> f
     check_arrays(depth, alpha, reference_depth, reference_alpha)
     shapes = {depth.shape, alpha.shape, reference_depth.shape, reference_alpha.shape}
     if len(shapes) != 1:
-        raise OptionError(f"depth and alpha images must have the same size, not {sorted(shapes)}.")
+        raise OptionError(f"Depth and alpha images must have the same size, not {sorted(shapes)}.")
     if np.isnan(alpha).any() or np.isnan(reference_alpha).any():
-        raise ModelError("an alpha image holds NaN; which pixels it covers is unknown.")
+        raise ModelError("An alpha image holds NaN; which pixels it covers is unknown.")
     covered = (alpha > COVERED) & (reference_alpha > COVERED)
     if not covered.any():
-        raise ModelError("the images cover no pixel in common; choose a view that shows the model.")
+        raise ModelError("The images cover no pixel in common; choose a view that shows the model.")
     a = depth[covered].astype(np.float64)
     b = reference_depth[covered].astype(np.float64)
     if not (np.isfinite(a).all() and np.isfinite(b).all() and (b > 0).all()):
-        raise ModelError("a covered pixel has a depth that is not finite and positive.")
+        raise ModelError("A covered pixel has a depth that is not finite and positive.")
     return float(np.mean(np.abs(a - b) / b))

@@ -510,19 +510,19 @@ def check_camera(camera: Camera) -> None:
         raise OptionError(f"A camera must be a nanogs.Camera, not {type(camera).__name__}.")
     if not (1 <= camera.width <= projection.LARGEST and 1 <= camera.height <= projection.LARGEST):
         raise OptionError(
-            f"a camera needs 1 to {projection.LARGEST:,} pixels along each side, not"
+            f"A camera needs 1 to {projection.LARGEST:,} pixels along each side, not"
             f" {camera.width} x {camera.height}."
         )
     least = min(camera.fx, camera.fy, camera.near, camera.dilation)
     if not (np.isfinite(camera.intrinsics).all() and least > 0):
         raise OptionError(
-            f"camera {camera.name!r} needs finite intrinsics; focal lengths, near and dilation must"
+            f"Camera {camera.name!r} needs finite intrinsics; focal lengths, near and dilation must"
             " be above 0."
         )
     if camera.whole is not None and not min(camera.whole[2:]) > 0:
-        raise OptionError(f"camera {camera.name!r} needs a `whole` picture of a size above 0.")
+        raise OptionError(f"Camera {camera.name!r} needs a `whole` picture of a size above 0.")
     if camera.world_to_camera.shape != (4, 4) or not np.isfinite(camera.world_to_camera).all():
-        raise OptionError(f"camera {camera.name!r} needs a finite 4 x 4 world_to_camera.")
+        raise OptionError(f"Camera {camera.name!r} needs a finite 4 x 4 world_to_camera.")
     turn, last = camera.world_to_camera[:3, :3], camera.world_to_camera[3]
     if max(np.abs(turn @ turn.T - np.eye(3)).max(), np.abs(last - (0, 0, 0, 1)).max()) > _ROUNDING:
         raise OptionError(
