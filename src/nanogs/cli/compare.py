@@ -62,20 +62,8 @@ def compare(
             rich_help_panel=options.VIEWS,
         ),
     ] = None,
-    images: Annotated[
-        str | None,
-        typer.Option(
-            help="Folder of the photographs, such as images_4.", rich_help_panel=options.VIEWS
-        ),
-    ] = None,
-    split: Annotated[
-        str | None,
-        typer.Option(
-            help="Photographs to use: test or train.",
-            rich_help_panel=options.VIEWS,
-            show_default="test",
-        ),
-    ] = None,
+    images: options.PhotoImages = None,
+    split: options.PhotoSplit = None,
     views: options.ViewsOfKinds = None,
     sizes: options.Sizes = None,
     cameras: options.Kinds = "auto",

@@ -115,10 +115,8 @@ class RenderOptions:
             metavar="FOLDER",
         ),
     ] = None
-    images: Annotated[str | None, _view("Folder of the photographs, such as images_4.")] = None
-    split: Annotated[
-        str | None, _view("Photographs to use: test or train.", show_default="test")
-    ] = None
+    images: options.PhotoImages = None
+    split: options.PhotoSplit = None
     background: options.PhotoBackground = None
     threads: options.Threads = None
     max_memory: options.MaxMemory = None

@@ -102,16 +102,20 @@ FitUp = Annotated[
 """The up direction of views to learn from."""
 
 
-def _background(usual: str) -> Any:  # noqa: ANN401 - as typer has it
+def _background(usual: str | bool = True) -> Any:  # noqa: ANN401 - as typer has it
     return _view("black, white, or #rrggbb.", "--background", metavar="COLOUR", show_default=usual)
 
 
-BackgroundOption = Annotated[
-    str, _view("black, white, or #rrggbb.", "--background", metavar="COLOUR")
-]
+BackgroundOption = Annotated[str, _background()]
 GivenBackground = Annotated[str | None, _background("black")]  # None if not given
 PhotoBackground = Annotated[
     str | None, _background("black; white for NeRF-Synthetic photographs with alpha")
+]
+PhotoImages = Annotated[
+    str | None, _view("Folder of the photographs, such as images_4.", "--images")
+]
+PhotoSplit = Annotated[
+    str | None, _view("Photographs to use: test or train.", "--split", show_default="test")
 ]
 SpzVersion = Annotated[
     int | None,
