@@ -70,7 +70,7 @@ def peer_path(name: str) -> Path:
 
 def made_on_the_device(notes):
     """Return whether one of a report's notes says that `CARD` was used."""
-    return any(note.startswith(f"pictures were made on {CARD}") for note in notes)
+    return any(note.startswith(f"Pictures were made on {CARD}") for note in notes)
 
 
 @pytest.fixture(scope="module")

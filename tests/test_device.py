@@ -90,7 +90,7 @@ def test_the_device_is_released_at_the_end_of_its_context(no_card):
         assert outer == inner == "cpu"
     assert device.engine_in_use() is None
     assert device_notes("cpu", "cpu") == ()
-    assert device_notes("cuda", "cuda, A Card") == ("pictures were made on cuda, A Card",)
+    assert device_notes("cuda", "cuda, A Card") == ("Pictures were made on cuda, A Card.",)
 
 
 def test_models_that_do_not_fit_into_memory_cannot_use_the_card(splats):

@@ -16,7 +16,10 @@ CPU, CUDA, AUTO = "cpu", "cuda", "auto"
 DEVICES = (CPU, CUDA, AUTO)
 WARP_CPU = "warp-cpu"  # the card's kernels on the CPU, in one thread, slow: for tests
 
-_NONE = "no graphics card that CUDA can use was found, or nanogs[cuda] is not installed"
+_NONE = (
+    "No graphics card that CUDA can use was found, or nanogs[cuda] is not installed: the CPU did"
+    " its work."
+)
 _FULL = "Failed to allocate"  # part of Warp's error message if a card has no memory left
 
 _engine: "ContextVar[Engine | None]" = ContextVar("engine", default=None)
@@ -71,8 +74,8 @@ def device_notes(asked: str | None, used: str) -> tuple[str, ...]:
         used: The device that it returned.
     """
     if used == CPU:
-        return (f"{_NONE}: the CPU did its work",) if asked == AUTO else ()
-    return (f"pictures were made on {used}",)
+        return (_NONE,) if asked == AUTO else ()
+    return (f"Pictures were made on {used}.",)
 
 
 def engine_in_use() -> "Engine | None":
