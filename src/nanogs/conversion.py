@@ -109,6 +109,9 @@ def convert(
         progress: True for a bar, in a notebook or on a terminal, or a function that is called with
             each `nanogs.progress.Step`.
 
+    Returns:
+        The report: splats and bytes, what was changed or left out, and the time taken.
+
     Raises:
         FormatError: The input cannot be read.
         OptionError: An option is invalid.

@@ -162,6 +162,9 @@ class Grown:
             format_options: Options of the format, as `nanogs.save` takes them.
             progress: As `nanogs.simplify` takes it.
 
+        Returns:
+            Bytes of the file, and its PSNR and SSIM.
+
         Raises:
             OptionError: The format cannot be written, or there is no such option.
             ModelError: Nothing of the model is visible, or the result is no `Splats`.
@@ -255,6 +258,9 @@ def grow(
         max_memory: As `nanogs.simplify` takes it.
         progress: As `nanogs.simplify` takes it.
         **overrides: Parameters of the preset to replace, such as `k=8`.
+
+    Returns:
+        The model with its forest, which makes and measures results.
 
     Raises:
         FormatError: The path cannot be read as a model.

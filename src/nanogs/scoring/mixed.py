@@ -125,6 +125,9 @@ def compare_mixed(
             the free memory, less a tenth.
         progress: As for `compare`.
 
+    Returns:
+        The scores of each stream on each set of views, their means and those of each view.
+
     Raises:
         FormatError: A model or the cameras cannot be read.
         ModelError: Nothing of the original is visible in any view.

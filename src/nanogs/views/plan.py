@@ -72,7 +72,7 @@ def room_for_measuring(
     """Compute the budget for the splats of the views when streamed models are measured.
 
     Args:
-        model: Any of the models.
+        model: One of the models, which are streamed in turn.
         max_memory: Bytes that this process may use; by default the free memory, less a tenth.
         remedy: What to do without the measurement, as the end of the message.
 

@@ -53,6 +53,9 @@ def summed_errors(
         drawn: N splats.
         targets: The views of the original.
         on_view: Is called with the number of views that are done.
+
+    Returns:
+        (N, 2) float64, the sums.
     """
     sums, halved = np.zeros((len(drawn), 2)), None
     for done, target in enumerate(targets):
