@@ -18,7 +18,7 @@ class StopReason(StrEnum):
     TARGET = "target"  # the asked count is reached
     NO_CANDIDATES = "no_candidates"  # no pair is left whose cost is a number
     NO_PROGRESS = "no_progress"  # a pass merged nothing although candidates were left
-    STEP = "step"  # no nearer count exists: 1 % more or fewer splats jump past the goal
+    STEP = "step"  # no nearer count exists: at most 1 % more or fewer splats jump past the goal
     # 99 % of the splats, or all but one, miss the asked PSNR; the whole model was delivered.
     UNREACHED = "unreached"
     PROBES = "probes"  # the number of tries ran out; a smaller count may reach the asked PSNR too
@@ -184,7 +184,7 @@ class SimplifyReport:
         preset: Name of the preset.
         parameters: Every parameter of the method by name. If several balances are tried, `balance`
             is not the one of the result: see `candidates`.
-        input_count: Number of splats in the input.
+        input_count: Number of splats of the model, after filters.
         asked_ratio: The compaction ratio asked for, or None.
         asked_count: The count asked for, or the count found for a ratio
             (ceil(ratio x finite splats)), a size, a PSNR or a draw cost.
