@@ -107,8 +107,8 @@ def requested_levels(
     counts = [target_count(len(checked.rows), ratio, None) for ratio in request.ratios]
     refuse_misaligned_elements(checked.splats, counts[-1])
     checked.refuse_too_large(counts[0], request.max_memory, judged=judged)
-    goals = [*zip(request.ratios, counts, strict=True)]
-    return _deliver(checked, goals, request.device, request.threads, progress)
+    wanted = [*zip(request.ratios, counts, strict=True)]
+    return _deliver(checked, wanted, request.device, request.threads, progress)
 
 
 def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
@@ -139,7 +139,7 @@ def checked_ratios(ratios: Iterable[float]) -> tuple[float, ...]:
 
 def _deliver(
     checked: CheckedModel,
-    goals: Sequence[tuple[float, int]],
+    wanted: Sequence[tuple[float, int]],
     device: str | None,
     threads: int | None,
     progress: Progress | bool | None,
@@ -148,12 +148,12 @@ def _deliver(
     from nanogs.pipeline.estimates.durations import delivery_stages, levels_stages
     from nanogs.threads import use_threads  # imported here because it imports Numba
 
-    counts = [count for _, count in goals]
+    counts = [count for _, count in wanted]
     chosen, splats = checked.parameters, len(checked.rows)
     deliver: Deliver | None = None
     with show_progress(progress) as on_step:
         tracker = Tracker(on_step, levels_stages(chosen, splats, counts))
-        for number, (ratio, count) in enumerate(goals):
+        for number, (ratio, count) in enumerate(wanted):
             start, clock = time.perf_counter(), StageClock()
             # Entered anew for each level, so that the caller's own number of threads applies
             # between two levels.
@@ -164,7 +164,7 @@ def _deliver(
                 outcome = deliver(count, clock, tracker.within(0, 1, stages))
             report = checked.report(Goal(ratio), count, outcome, threads_used, clock, start)
             report = replace(report, notes=(*report.notes, *device_notes(device, used)))
-            if number == len(goals) - 1:
+            if number == len(wanted) - 1:
                 tracker.finish()
             yield outcome.splats, report
             del outcome  # otherwise it would stay in memory while the next one is made
