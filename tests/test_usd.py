@@ -241,6 +241,14 @@ def test_layers_of_other_programs_are_read(load):
     assert loaded.sh[0, 0] == pytest.approx([0.1, 0.2, 0.3])
 
 
+def test_splats_of_classes_are_not_read_because_they_are_not_drawn(load):
+    inside = prim(name="Splats", count=3)
+    body = ('class "Kinds" { def Xform "A" {', inside, "} }", prim(name="B"), inside)
+    assert len(load(layer(*body))) == 5
+    with pytest.raises(FormatError, match="has no splats"):
+        load(layer(*body[:-2]))
+
+
 def test_values_of_splats_beyond_the_schema_are_noted(load):
     body = """float[] primvars:label = [1, 2] (interpolation = "vertex")
     uniform token sortingModeHint = "zDepth"

@@ -84,7 +84,7 @@ def _layer(path: Path) -> Layer:
 def _fields(layer: Layer) -> Iterator[_Field]:
     found = False
     for prim in layer.prims:
-        if prim.kind == PRIM:
+        if prim.kind == PRIM and not prim.abstract:
             found = True
             yield _field(layer, prim)
     if not found:

@@ -41,6 +41,7 @@ class Prim:
         kind: Its type, such as `Xform`; empty without one.
         name: Its name.
         parent: The prim that it is in; None at the top level.
+        abstract: Whether it is a `class` or in one: others inherit from it, and it is not drawn.
         values: Start and end byte of each attribute's value in the file, by name; without the
             brackets of an array.
     """
@@ -48,6 +49,7 @@ class Prim:
     kind: str
     name: str
     parent: "Prim | None"
+    abstract: bool
     values: dict[str, Span] = field(default_factory=dict)
 
     def depth(self) -> int:
@@ -107,7 +109,7 @@ class _Parser:
         words: list[bytes] = []
         while token := self._next():
             if token in _PRIM:
-                inside, words = self._prim(inside), []
+                inside, words = self._prim(token, inside), []
             elif token == b"}":
                 if inside is None:
                     raise self._damaged("a } has no matching {")
@@ -129,12 +131,13 @@ class _Parser:
             raise self._damaged(f"it ends inside the prim {inside.name[:40]!a}")
         return Layer(self._path, self._text, self._metadata, tuple(self._prims))
 
-    def _prim(self, parent: Prim | None) -> Prim:
-        """Parse the head of a prim, up to its opening brace."""
+    def _prim(self, specifier: bytes, parent: Prim | None) -> Prim:
+        """Parse the head of a prim after its specifier, up to its opening brace."""
         kind, name = "", self._next()
         if not name.startswith((b'"', b"'")):
             kind, name = name.decode("utf-8", "replace"), self._next()
-        prim = Prim(kind, _plain(name), parent)
+        abstract = specifier == b"class" or (parent is not None and parent.abstract)
+        prim = Prim(kind, _plain(name), parent, abstract)
         opening = self._next()
         if opening == b"(":
             self._skip(opening)
