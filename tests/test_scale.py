@@ -57,7 +57,14 @@ from nanogs.report import PassReport
 from nanogs.source import Layout, Source
 from nanogs.store.columns import CODES
 from nanogs.store.scratch import FolderScratch, open_scratch
-from nanogs.store.tables import Record, Table, read_record, verified, write_table
+from nanogs.store.tables import (
+    Record,
+    Table,
+    read_column,
+    read_record,
+    verified,
+    write_table,
+)
 from torchfiles import TorchFile
 
 FAST = {"preset": "fast", "block": 400, "threads": 1}
@@ -128,7 +135,8 @@ def test_samples_are_evenly_spread_runs_of_usable_rows(tmp_path, monkeypatch, sp
     assert len(done) == reads
 
 
-def test_tables_return_their_rows_and_detect_a_changed_byte(tmp_path):
+def test_tables_return_their_rows_and_detect_a_changed_byte(tmp_path, monkeypatch):
+    monkeypatch.setattr("nanogs.store.scratch._CHUNK", 1 << 16)  # hashed in several pieces
     scratch = FolderScratch(tmp_path)
     wide = np.arange(300_000, dtype=np.float32).reshape(-1, 3)
     record = write_table(scratch, "t", {"n": np.arange(7), "wide": wide}, {"fact": 1})
@@ -142,6 +150,11 @@ def test_tables_return_their_rows_and_detect_a_changed_byte(tmp_path):
     data = bytearray((tmp_path / "t.1.npy").read_bytes())
     data[-1000] ^= 1
     (tmp_path / "t.1.npy").write_bytes(data)
+    assert verified(scratch, "t") is None
+    (tmp_path / "t.1.npy").write_bytes(data[:-1])
+    with pytest.raises(FormatError, match=r"t\.1\.npy of the job was cut short; `resume=True`"):
+        read_column(scratch, record, "wide")
+    (tmp_path / "t.1.npy").unlink()
     assert verified(scratch, "t") is None
     assert (np.load(tmp_path / "t.0.npy") == np.arange(7)).all()
     (tmp_path / "t.json").write_text('{"name": "t"')
@@ -171,6 +184,47 @@ def test_parent_folders_are_removed_only_if_the_job_created_them(tmp_path, kind,
         number < existing_parents for number in range(3)
     ]
     assert exists(str(tmp_path))
+
+
+def test_writers_of_the_same_file_do_not_disturb_each_other(tmp_path):
+    """As when a worker does a task again that another one, taken for lost, is still doing."""
+    scratch = FolderScratch(tmp_path)
+
+    def parts():
+        yield np.zeros(3, np.uint8)
+        scratch.write("a.npy", [np.ones(2, np.uint8)])
+        assert (tmp_path / "a.npy").read_bytes() == b"\1\1"
+
+    scratch.write("a.npy", parts())
+    assert (tmp_path / "a.npy").read_bytes() == b"\0\0\0"
+    assert names_in(tmp_path) == ["a.npy"]
+
+
+@pytest.mark.parametrize("kind", ["", "memory://"])
+def test_what_killed_and_failed_writers_leave_is_removed(tmp_path, kind):
+    if kind:
+        pytest.importorskip("fsspec")
+    scratch = open_scratch(f"{kind}{tmp_path}/scratch")
+    exists = scratch.files.exists if kind else os.path.exists
+    scratch.prepare()
+
+    def fail():
+        yield np.zeros(1, np.uint8)
+        raise OutputError("no part of it is kept")
+
+    with pytest.raises(OutputError, match="no part"):
+        scratch.write("failed.npy", fail())
+    scratch.write("made.npy", [np.ones(2, np.uint8)])
+    scratch.write("killed.tmp", [np.ones(2, np.uint8)])
+    if not kind:
+        assert names_in(tmp_path / "scratch") == ["killed.tmp", "made.npy"]
+    scratch.tidy()
+    assert not exists(f"{tmp_path}/scratch/killed.tmp")
+    assert exists(f"{tmp_path}/scratch/made.npy")
+    scratch.write("killed.tmp", [np.ones(2, np.uint8)])
+    scratch.remove()
+    assert not exists(f"{tmp_path}/scratch")
+    scratch.remove()  # nothing is left to remove
 
 
 def test_a_table_without_columns_has_no_rows(tmp_path):
@@ -481,6 +535,7 @@ def test_the_count_is_exact(scene, tmp_path, preset, count):
 def test_splats_keep_their_bytes_if_none_is_merged(scene, tmp_path):
     nanogs.simplify_blocks(scene, tmp_path / "all.ply", ratio=1, **REASSIGNED)
     whole, same = nanogs.load(scene), nanogs.load(tmp_path / "all.ply")
+    assert same.extras["label"].dtype == whole.extras["label"].dtype
     assert model_bytes(same.take(np.argsort(same.extras["label"]))) == model_bytes(whole)
 
 

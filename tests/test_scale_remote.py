@@ -380,13 +380,18 @@ def test_a_store_that_cannot_be_written_is_refused_at_once(scene, tmp_path, s3_s
 @pytest.mark.filterwarnings("ignore")
 def test_simplify_blocks_can_use_a_store(tmp_path, s3_store):
     source, options = tmp_path / "in.ply", {"ratio": 0.5, "preset": "fast", "block": 700}
+    owner = import_module("boto3").client("s3")
+    theirs = {"Bucket": "bucket", "Key": "prefix/theirs.npy"}  # an upload by somebody else
+    upload = theirs | {"UploadId": owner.create_multipart_upload(**theirs)["UploadId"]}
     nanogs.save(random_splats(1200), source)
     nanogs.simplify_blocks(source, tmp_path / "a.ply", threads=1, **options)
     nanogs.simplify_blocks(
         source, tmp_path / "b.ply", threads=1, scratch="s3://bucket/prefix", **options
     )
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
-    assert keys(s3_store) == ["prefix/mine.json"]
+    assert keys(s3_store) == ["prefix/mine.json", "prefix/theirs.npy"]
+    owner.abort_multipart_upload(**upload)
+    owner.close()
 
 
 def test_a_missing_fsspec_package_is_named():
@@ -424,6 +429,20 @@ def test_an_error_of_a_store_is_shown_without_the_password(monkeypatch):
         scratch.prepare()
     assert "secret" not in "".join(traceback.format_exception(raised.value))
     assert scratch.place == "memory://user:secret@store/job"  # which workers open
+
+
+def test_a_store_in_which_nothing_can_be_deleted_is_refused_at_once(monkeypatch):
+    pytest.importorskip("fsspec")
+    scratch = open_scratch("memory://kept/job")
+
+    def refuse(path):
+        raise PermissionError(path)
+
+    monkeypatch.setattr(scratch.files, "rm_file", refuse)
+    with pytest.raises(OutputError, match=r"^Nothing can be deleted in memory://kept/job"):
+        scratch.prepare()
+    monkeypatch.undo()
+    scratch.remove()
 
 
 @pytest.mark.parametrize("name", ["job", "threads"])
