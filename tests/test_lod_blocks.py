@@ -446,6 +446,39 @@ def test_file_names_cannot_lead_out_of_the_folder(tmp_path):
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
+def test_a_folder_holds_only_what_the_last_attempt_made(tmp_path):
+    """All its files are listed, for a resumed job to find out whether they are in place."""
+    sink = levels_folder.LevelsFolder(
+        tmp_path / "levels", overwrite=False, source="a.ply", block_layout=Tiles(20)
+    )
+    splats = random_splats(50, degree=0)
+    report = nanogs.simplify(splats, ratio=1, preset="fast")[1]
+    for count in (50, 15):  # the first attempt has more files
+        filling = sink.open(tmp_path / "made", {})
+        filling.add(splats.take(np.arange(count)))
+        filling.finish([report])
+    names = sink.files(tmp_path / "made")
+    assert names == ("tileset.json", "0_0.glb")
+    assert sorted(files(tmp_path / "made")) == sorted(names)
+    (tmp_path / "levels").mkdir()
+    shutil.copy(tmp_path / "made" / "tileset.json", tmp_path / "levels")  # appears meanwhile
+    with pytest.raises(OutputError, match="exists"):
+        sink.move(tmp_path / "made")
+
+
+def test_a_tile_is_not_divided_again_at_any_coarser_level(tmp_path):
+    sink = levels_folder.LevelsFolder(
+        tmp_path / "levels", overwrite=False, source="a.ply", block_layout=Tiles(8)
+    )
+    splats = random_splats(16, degree=0)
+    report = nanogs.simplify(splats, ratio=1, preset="fast")[1]
+    with sink.filled() as filling:
+        for rows in (np.arange(16), np.arange(8), np.arange(12)):  # the last has more again
+            filling.add(splats.take(rows))
+        assert filling.names == [["0_0.glb", "0_1.glb"], ["1_0.glb"], ["2_0.glb"]]
+        filling.finish([report] * 3)
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_workers_make_the_same_bytes(scene, tmp_path, levels_by_layout):
     distributed = pytest.importorskip("distributed")
@@ -477,6 +510,20 @@ def test_the_memory_limit_bounds_the_size_of_blocks_and_chunks():
         plan(300_000_000, StreamedSog(32_768))
     with pytest.raises(OptionError, match="a larger `chunk`"):
         plan(500_000_000, Tiles(100, packed=False))
+
+
+def test_the_memory_for_files_follows_the_largest_level_and_file():
+    row, chunks = 236, StreamedSog(1000, 250)  # a file has four chunks at most
+
+    def planned(splats, *shares):
+        return chunks.encoding(row, 3, splats, shares)
+
+    assert planned(3000, 0.1, 1).file == planned(3000, 1, 0.1).file == planned(3000, 1).file
+    assert planned(10**6, 1).file == planned(4000, 1).file
+    assert planned(4000, 1).file - planned(2000, 1).file > 2000 * row
+    assert planned(1, 1).file > 10**7  # the libraries
+    assert planned(10**6, 1).joined > 250 * row
+    assert Tiles(1000).encoding(row, 3, 10**6, (1,)).joined == 0
 
 
 # The command

@@ -1,6 +1,7 @@
 """Trees of models larger than memory: `.rad` made in blocks, and by interrupted jobs."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from nanogs.report import StopReason
 from nanogs.source import InMemory
 from nanogs.source import Layout as Columns
 from spark_page import render_in_spark
-from test_rad_lod import root_of, rows_sorted, sheet, tree_of
+from test_rad_lod import first_children, root_of, rows_sorted, sheet, tree_of
 from test_rad_spark import three_clusters
 from views_and_scores import opening_camera
 
@@ -118,6 +119,23 @@ def test_the_root_of_blocks_is_merged_from_all_leaves():
     trees = [Linked().link([part], splats, steps=2) for part in parts]
     root = joined_trees(trees, (), splats).read(0, 1)
     assert root.opacities() == pytest.approx(root_of(splats, 64).opacities(), rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rows_follow_the_order_of_the_roots_of_all_blocks(seed):
+    """Blocks and their rows are in no order; sizes differ, and so do the numbers of children."""
+    splats, ends = random_splats(120, degree=0, seed=seed), (0, 13, 70, 120)
+    parts = [splats.take(np.arange(*pair)) for pair in pairwise(ends)]
+    levels = [(InMemory(part), InMemory(part.take(np.arange(4, 13)))) for part in parts]
+    tree = joined_trees([Linked().link(each, splats, steps=1) for each in levels], (), splats)
+    rows, counts = tree.load().means, tree.children(0, tree.count)
+    assert counts.sum() == tree.count - 1
+    starts = first_children(counts)
+    for row in np.flatnonzero(counts):
+        below = rows[starts[row] : starts[row] + counts[row]]
+        assert (rows[row] >= below.min(axis=0) - 1e-5).all()
+        assert (rows[row] <= below.max(axis=0) + 1e-5).all()
+    np.testing.assert_array_equal(rows_sorted(rows[counts == 0]), rows_sorted(splats.means))
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import heapq
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,12 +14,14 @@ import radfiles
 from builders import model_bytes, random_splats
 from launch import run
 from nanogs import io
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import FormatError, OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.io.rad.header import read_header
 from nanogs.io.rad.levels import heights
 from nanogs.lod import links
-from nanogs.lod.tree import Layer, as_rows, build, layers_of, units_of
+from nanogs.lod.tree import Layer, above, as_rows, build, layers_of, units_of
+from nanogs.lod.tree_file import LevelsTree
+from nanogs.method.order import morton_order
 from nanogs.metrics import psnr
 from nanogs.raster.rendering import render
 from nanogs.source import InMemory
@@ -345,6 +348,56 @@ def test_rows_do_not_depend_on_how_many_are_merged_at_a_time(monkeypatch, model)
     np.testing.assert_array_equal(again.counts, tree.counts)
     for start, stop in ((0, rows.count), (40, 700), (3000, 3001)):
         assert model_bytes(rows.read(start, stop)) == model_bytes(expected.read(start, stop))
+
+
+def test_links_do_not_depend_on_how_many_rows_are_read_at_a_time(monkeypatch):
+    levels = [InMemory(random_splats(count, degree=0, seed=count)) for count in (250, 30)]
+    expected = links.parents_of(*map(links.shapes_of, levels))
+    monkeypatch.setattr(links, "_ROWS", 60)
+    monkeypatch.setattr(InMemory, "blocks", lambda level: pieces(level.load(), 70))
+    assert links.parents_of(*map(links.shapes_of, levels)).tolist() == expected.tolist()
+
+
+def pieces(splats, rows):
+    return (splats.span(at, min(at + rows, len(splats))) for at in range(0, len(splats), rows))
+
+
+def test_levels_of_equal_counts_are_linked_by_position():
+    fine, turn = random_splats(50, degree=0), np.random.default_rng(0).permutation(50)
+    layers = layers_of([InMemory(fine), InMemory(fine.take(turn))])
+    assert turn[layers[0].parents].tolist() == list(range(50))
+
+
+def test_nodes_above_the_coarsest_level_are_in_the_middle_of_their_children():
+    means = random_splats(70).means.astype(np.float64)
+    layers = above(means)
+    assert [len(layer.means) for layer in layers] == [70, 18, 5, 2, 1]
+    for below, layer in pairwise(layers):
+        middle = [
+            below.means[below.parents == each].mean(axis=0) for each in range(len(layer.means))
+        ]
+        np.testing.assert_allclose(layer.means, middle, atol=1e-12)
+
+
+def test_siblings_are_sorted_by_position():
+    splats = random_splats(60, degree=0)
+    layers = layers_of([InMemory(splats), InMemory(splats.take(np.arange(1)))])
+    order = build(InMemory(splats), layers, units_of(InMemory(splats))).order
+    assert order.tolist() == morton_order(splats.means.astype(np.float64)).tolist()
+
+
+def test_units_are_those_of_the_whole_model(monkeypatch):
+    splats = random_splats(600, degree=0)
+    splats.means[300:] += 10
+    expected = units_of(InMemory(splats)).origin
+    monkeypatch.setattr("nanogs.lod.tree._SAMPLE", 100)
+    np.testing.assert_allclose(units_of(InMemory(splats)).origin, expected, atol=1)
+
+
+def test_an_existing_file_is_refused_before_the_work(tmp_path):
+    (tmp_path / "a.rad").write_bytes(b"mine")
+    with pytest.raises(OutputError, match="exists"):
+        LevelsTree(tmp_path / "a.rad", overwrite=False, source="a.ply").check()
 
 
 def test_splats_get_the_parent_of_their_own_cluster():
