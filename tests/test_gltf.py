@@ -535,6 +535,14 @@ def broken(path, value):
     return make
 
 
+def without_uri():
+    """Return a small file whose first view is in a second buffer: only the first needs no URI."""
+    content, body = document(columns(random_splats(3, degree=1)))
+    content["buffers"] *= 2
+    content["bufferViews"][0]["buffer"] = 1
+    return glb(content, body)
+
+
 PRIMITIVE = ("meshes", 0, "primitives", 0)
 ATTRIBUTES = (*PRIMITIVE, "attributes")
 EXTENSION = (*PRIMITIVE, "extensions", "KHR_gaussian_splatting")
@@ -598,6 +606,7 @@ REFUSED = {
     "no view": (broken(("accessors", 0, "bufferView"), None), "sparse or without a buffer view"),
     "stride": (broken(("bufferViews", 0, "byteStride"), 4), "does not fit"),
     "view": (broken(("bufferViews", 0, "byteLength"), 10**9), "does not fit into its buffer"),
+    "beyond": (broken(("buffers", 0, "byteLength"), 4), "does not fit into its buffer"),
     "outside": (broken(("buffers", 0, "uri"), "/etc/passwd"), "in the same folder or below it"),
     "above": (broken(("buffers", 0, "uri"), "../a.bin"), "in the same folder or below it"),
     "hidden": (broken(("buffers", 0, "uri"), "%2e%2e/a.bin"), "in the same folder or below it"),
@@ -607,6 +616,7 @@ REFUSED = {
     "data": (broken(("buffers", 0, "uri"), "data:,abc"), "that is not in base64"),
     "base64": (broken(("buffers", 0, "uri"), "data:;base64,a"), "data: URI that is damaged"),
     "second buffer": (broken(("bufferViews", 0, "buffer"), 1), "no object 1 in 'buffers'"),
+    "no uri": (without_uri, "buffers\\[1\\] has no URI"),
     "meshopt": (
         broken(("bufferViews", 0, "extensions"), {"EXT_meshopt_compression": {}}),
         "packed with EXT_meshopt_compression",
