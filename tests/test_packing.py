@@ -19,7 +19,13 @@ from nanogs.fit.shared import SharedHarmonics
 from nanogs.io import registry, round_trip_with_size
 from nanogs.io.format import Sharing
 from nanogs.pipeline.one_block import whole_settings
-from nanogs.pipeline.options.presets import PRESETS, SEARCHED_STEPS, parameters, with_longer_fit
+from nanogs.pipeline.options.presets import (
+    PRESETS,
+    SEARCHED_STEPS,
+    parameters,
+    with_longer_fit,
+    with_usual_pixels,
+)
 from nanogs.pipeline.options.settings import brief
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
@@ -411,6 +417,22 @@ def test_a_packing_that_is_searched_for_gets_a_longer_fit_with_a_view_for_each_s
     if preset in PRESETS:
         before, after = parameters(preset, overrides), parameters(preset, found)
         assert replace(before, **more) == after
+
+
+@pytest.mark.parametrize(
+    ("preset", "overrides", "more"),
+    [
+        ("default", {}, {"finer": 1.0}),
+        ("default", {"steps": 5, "finer": None}, {"finer": 1.0}),
+        ("default", {"steps": 0}, {}),
+        ("default", {"finer": 0.8}, {}),
+        ("fast", {}, {}),
+        ("fast", {"steps": 5}, {"finer": 1.0}),
+        ("paper", {}, {}),
+    ],
+)
+def test_levels_that_are_fitted_are_fitted_to_usual_pixels(preset, overrides, more):
+    assert with_usual_pixels(preset, overrides) == overrides | more
 
 
 def test_only_a_packing_that_is_searched_for_gets_a_longer_fit(tmp_path):

@@ -689,8 +689,12 @@ def test_a_run_killed_after_its_output_appeared_is_resumed(scene, tmp_path, expe
     with pytest.raises(CrashError):
         nanogs.simplify_blocks(scene, out, ratio=0.3, **REASSIGNED)
     monkeypatch.undo()
-    assert out.exists()
     assert folder.exists()
+    assert out.read_bytes() == expected
+    out.write_bytes(b"x" * len(expected))  # another file of the same size
+    with pytest.raises(OutputError, match="exists already"):
+        nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **REASSIGNED)
+    out.write_bytes(expected)
     nanogs.simplify_blocks(scene, out, ratio=0.3, resume=True, **REASSIGNED)
     assert out.read_bytes() == expected
     assert not folder.exists()
@@ -751,6 +755,26 @@ def test_a_second_run_on_a_locked_folder_is_refused(scene, tmp_path):
     assert names_in(tmp_path) == []
 
 
+def test_an_empty_scratch_left_by_a_killed_run_is_removed_with_its_folder(tmp_path):
+    (tmp_path / "job" / "scratch").mkdir(parents=True)
+    with locked(tmp_path / "job"):
+        pass
+    assert names_in(tmp_path) == []
+
+
+def test_a_lock_whose_file_another_run_has_just_deleted_is_not_taken(tmp_path, monkeypatch):
+    """A third run locks the file that has taken its place."""
+    fcntl = pytest.importorskip("fcntl")
+
+    def replace_file(*_):
+        (tmp_path / "job" / LOCK).unlink()
+        (tmp_path / "job" / LOCK).touch()
+
+    monkeypatch.setattr(fcntl, "flock", replace_file)
+    with pytest.raises(OutputError, match="Another run is at work"), locked(tmp_path / "job"):
+        pass
+
+
 def test_a_job_folder_with_other_files_is_refused_and_kept(scene, tmp_path):
     (tmp_path / "job").mkdir()
     (tmp_path / "job" / "thesis.txt").write_text("ten years")
@@ -777,7 +801,8 @@ def test_an_empty_scratch_is_refused(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["result-1.ply", "result-x/a.txt", "scratch/a.npy", "scratch", "lock"]
+    "name",
+    ["result-1.ply", "result-x/a.txt", f"{RESULT}s.txt", "scratch/a.npy", "scratch", "lock"],
 )
 def test_files_that_are_named_like_those_of_a_job_are_kept(scene, tmp_path, name):
     mine = tmp_path / "job" / name

@@ -12,12 +12,14 @@ from builders import random_splats
 from conftest import scene_path
 from crashes import CrashError
 from launch import run as run_command
+from nanogs import io
 from nanogs.errors import FormatError, OptionError
 from nanogs.io.sog import read as sog
 from nanogs.io.spz import read as spz
 from nanogs.pipeline import run, stages
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.job import rows as source
+from nanogs.pipeline.job.inputs import check_unchanged, input_file
 from nanogs.pipeline.options.settings import Access
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
@@ -254,6 +256,31 @@ def test_a_file_that_changes_while_it_is_unpacked_is_refused(packed, tmp_path, m
     with pytest.raises(FormatError, match="has changed since the job began"):
         nanogs.simplify_blocks(packed, tmp_path / "small.ply", ratio=0.3, **FAST)
     assert not list((tmp_path / "small.ply.job" / "scratch").glob("unpack*.json"))  # its record
+
+
+def test_a_file_that_changes_while_its_rows_are_read_is_refused(tmp_path, splats):
+    path = tmp_path / "scene.ply"
+    nanogs.save(splats, path)
+    settings, _ = planned(path)
+
+    def read_and_touch():
+        with source.opened(settings) as scene:
+            scene.read(0, 10)
+            os.utime(path, (1, 1))
+
+    with pytest.raises(FormatError, match="has changed since the job began"):
+        read_and_touch()
+
+
+def test_a_part_of_a_model_with_another_size_is_refused(tmp_path, splats):
+    path = WRITERS["lod-meta.json"](tmp_path, splats)
+    file, part = input_file(io.open(path)), tmp_path / "0_0" / "quats.webp"
+    before = part.stat()
+    check_unchanged(file)
+    part.write_bytes(part.read_bytes() + b"\0")
+    os.utime(part, ns=(before.st_atime_ns, before.st_mtime_ns))
+    with pytest.raises(FormatError, match="has changed since the job began"):
+        check_unchanged(file)
 
 
 def damaged(name, folder, splats):

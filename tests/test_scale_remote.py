@@ -28,11 +28,12 @@ import nanogs
 from builders import random_splats
 from crashes import CrashError
 from nanogs.clock import StageClock
-from nanogs.errors import FormatError, NanogsError, OptionError, OutputError
+from nanogs.errors import ExistsError, FormatError, NanogsError, OptionError, OutputError
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.estimates.block_plan import held_bytes
 from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.job import cluster
+from nanogs.pipeline.job.folder import refuse_finished
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
@@ -488,6 +489,14 @@ def test_resume_without_an_unfinished_job(scene, tmp_path, expected):
         nanogs.simplify_blocks(scene, out, **GIVEN)
     assert out.read_bytes() == expected
     nanogs.simplify_blocks(scene, out, resume=True, overwrite=True, **GIVEN)  # a new run
+
+
+def test_an_empty_output_folder_is_no_finished_run(tmp_path):
+    (tmp_path / "levels").mkdir()
+    refuse_finished(tmp_path / "job", tmp_path / "levels")
+    (tmp_path / "levels" / "level_0.ply").touch()
+    with pytest.raises(ExistsError, match="nothing to resume"):
+        refuse_finished(tmp_path / "job", tmp_path / "levels")
 
 
 def test_resume_refuses_an_existing_output_at_once(scene, tmp_path, expected):

@@ -13,7 +13,7 @@ from launch import run
 from nanogs.errors import CrowdedError, TooSmallError, UnstorableError
 from nanogs.io import encoded_bytes, registry
 from nanogs.pipeline.files import limit_degree
-from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.options.target import Goal, target_of
 from nanogs.pipeline.request import Request as FileRequest
 from nanogs.pipeline.search.file_size import (
     MOST_PROBES,
@@ -118,6 +118,15 @@ def test_only_a_search_that_chooses_the_degree_is_not_limited_before(goal, suffi
     request = FileRequest(goal=Goal(**goal), output=Path(f"a{suffix}"))
     limited, notes = limit_degree(request, 4)
     assert (limited.sh_degree, len(notes)) == (degree, degree is not None)
+
+
+def test_a_degree_that_is_asked_for_leaves_nothing_to_search():
+    """The size of a .ply file is known for each count, unless a lower degree may be chosen."""
+    splats, goal, chosen = random_splats(100, degree=3), Goal(size=5000), nanogs.presets["default"]
+    assert target_of(goal, splats, 100, Path("a.ply"), chosen, None) is None
+    count = target_of(goal, splats, 100, Path("a.ply"), chosen, 1)
+    some = (random_splats(number, degree=1) for number in (count, count + 1))
+    assert [encoded_bytes(each, "a.ply") <= 5000 for each in some] == [True, False]
 
 
 @pytest.mark.parametrize("block", [None, 24])
