@@ -363,6 +363,22 @@ def test_resuming_a_job_that_crashed_anywhere_gives_the_same_bytes(
     assert [path.name for path in tmp_path.iterdir()] == ["levels"]
 
 
+def test_levels_that_changed_after_they_were_moved_are_not_the_finished_ones(
+    scene, tmp_path, monkeypatch
+):
+    def crash(*_):
+        raise CrashError
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nanogs.pipeline.job.stored.BlockJob._remove", crash)
+        with pytest.raises(CrashError):
+            write(scene, tmp_path / "levels", LodLayout.TILES)
+    tile = max((tmp_path / "levels").glob("*.glb"))
+    tile.write_bytes(tile.read_bytes()[:-1])
+    with pytest.raises(OutputError, match="exists"):
+        write(scene, tmp_path / "levels", LodLayout.TILES, resume=True)
+
+
 def test_a_job_is_not_resumed_with_another_layout_or_chunk_size(scene, tmp_path):
     def crash(step):
         if step.stage == "chunk":

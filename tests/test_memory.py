@@ -13,10 +13,16 @@ from builders import random_splats
 from launch import measured
 from nanogs.errors import NotEnoughMemoryError
 from nanogs.io import registry
+from nanogs.lod.streamed_sog import StreamedSog
 from nanogs.memory import LIBRARIES
 from nanogs.method import match as matching
 from nanogs.pipeline import in_memory
-from nanogs.pipeline.estimates.memory import plan_memory, plan_search
+from nanogs.pipeline.estimates.memory import (
+    plan_levels,
+    plan_memory,
+    plan_search,
+    plan_writing,
+)
 from nanogs.pipeline.options.presets import parameters
 from nanogs.pipeline.options.target import Goal
 from nanogs.slices import SLICE_PAIRS
@@ -176,3 +182,18 @@ def test_a_search_that_encodes_results_has_memory_for_it(needed):
     assert half == 1500 * COLUMNS * 8  # no more splats fit
     assert plan_search(planned, 2000, Goal(psnr=30.0), registry.writable(Path("a.ply"))) == planned
     assert plan_search(planned, 2000, Goal(psnr=30.0), SOG) == sizes[1]
+
+
+def test_stages_that_encode_results_raise_the_peak():
+    planned = plan_memory(2000, 3, 0, parameters("fast", {}), 1000)
+    row = planned.input_columns // 2000
+    large = planned.with_stage("large", planned.peak + 1)
+    assert large.peak == planned.peak + 1
+    assert large.with_stage("small", 1).peak == large.peak
+    written = plan_writing(planned, 2000, 1000, SOG).stages["write"]
+    assert written == planned.input_columns + 1000 * row + SOG.extra_memory(1000 * row)
+    chunks = (
+        plan_levels(planned, 2000, 3, count, (0.5,), StreamedSog(1000)).stages["encode"]
+        for count in (1000, 500)
+    )
+    assert next(chunks) - next(chunks) >= 500 * row  # the level that is encoded

@@ -1186,6 +1186,31 @@ def test_unusable_models_are_refused():
         refit(original, small, cameras=[make_camera()], parameters=QUICK)
 
 
+@pytest.mark.parametrize(
+    ("alpha", "aside", "is_refused"), [(0.01, 0, True), (0.04, 0, False), (0.99, 2, True)]
+)
+def test_a_small_model_has_to_cover_a_fiftieth_of_the_original(alpha, aside, is_refused):
+    original = make_splats(1).take(np.zeros(1, np.int64))
+    original.means[:] = -1, 0, 4
+    original.log_scales[:] = -2
+    original.opacity_logits[:] = 5
+    small = dataclasses.replace(
+        original,
+        means=original.means + np.float32([aside, 0, 0]),
+        opacity_logits=np.full(1, np.log(alpha / (1 - alpha)), np.float32),
+    )
+    cameras = [dataclasses.replace(make_camera(), name=name) for name in "ab"]
+
+    def targets():
+        return view_targets(original, small, cameras, QUICK, ignore_progress)
+
+    if is_refused:
+        with pytest.raises(ModelError, match="same scene"):
+            targets()
+    else:
+        assert len(targets()[1]) == 1
+
+
 def test_a_real_scene_gains_on_held_out_views():
     original, small = load(scene_path("plant.splat")), load(peer_path("plant_0.01_st-uniform.ply"))
     fitted, _ = refit(

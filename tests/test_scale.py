@@ -570,6 +570,17 @@ def test_nonfinite_rows_are_dropped_or_refused(tmp_path):
         )
 
 
+@pytest.mark.parametrize("row", [0, 477])
+def test_a_refused_row_is_named_by_its_own_file(tmp_path, row):
+    splats = random_splats(500)
+    nanogs.save(splats, tmp_path / "a.ply")
+    splats.means[row, 1] = np.nan
+    nanogs.save(splats, tmp_path / "b.ply")
+    paths = [tmp_path / "a.ply", tmp_path / "b.ply"]
+    with pytest.raises(ModelError, match=rf"b\.ply: row {row} holds a NaN"):
+        nanogs.simplify_blocks(paths, tmp_path / "c.ply", ratio=0.5, nan="error", **FAST)
+
+
 def test_several_files_of_different_formats_make_one_scene(tmp_path):
     first, second = random_splats(500, degree=2), random_splats(390, degree=1, seed=2)
     nanogs.save(first, tmp_path / "a.ply")
@@ -737,6 +748,9 @@ def test_a_different_or_damaged_job_is_not_resumed(scene, tmp_path, monkeypatch)
         nanogs.simplify_blocks(
             scene_copy, out, ratio=0.2, resume=True, **(REASSIGNED | {"block": 900})
         )
+    far = {"scratch": str(tmp_path / "far")}
+    with pytest.raises(OutputError, match=r"differs: `scratch`\)"):
+        nanogs.simplify_blocks(scene_copy, out, ratio=0.3, resume=True, **far, **REASSIGNED)
     os.utime(scene_copy, (1, 1))
     with pytest.raises(OutputError, match=r"differs: the input files\)"):
         nanogs.simplify_blocks(scene_copy, out, ratio=0.3, resume=True, **REASSIGNED)

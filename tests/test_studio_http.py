@@ -193,7 +193,8 @@ def test_requests_cannot_be_sent_by_get(studio):
 @pytest.mark.parametrize(
     "body",
     [b"", b"[]", b"{", b"null", b'{"page": "p"}', b"[" * 60_000, b'{"page": "../x", "choice": {}}',
-     json.dumps(ASK | {"number": "1"}).encode(), json.dumps(ASK | {"path": "x"}).encode(),
+     json.dumps(ASK | {"number": "1"}).encode(), json.dumps(ASK | {"number": True}).encode(),
+     json.dumps(ASK | {"path": "x"}).encode(),
      b'{"page": "p", "choice": {"wish": {"splats": NaN}}}'],
 )  # fmt: skip
 def test_malformed_requests_are_refused_with_a_message(studio, body):
