@@ -20,7 +20,7 @@ DISTRIBUTIONS = {
     "skimage": "scikit-image",
     "warp": "warp-lang",
 }
-STANDARD = {"pty", "resource"}  # on Unix
+STANDARD = {"fcntl", "pty", "resource"}  # on Unix
 
 
 def distributions_of(requirements):
