@@ -8,7 +8,7 @@ from nanogs.raster.lens import Lens
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class CameraModel:
     """A COLMAP camera model: the layout of its parameters.
 
     Attributes:
@@ -33,17 +33,17 @@ _FULL = (*_OPENCV, "k3", "k4", "k5", "k6")
 _FISHEYE = ("k1", "k2", "k3", "k4")
 # The index in this list is the model's id in binary files.
 MODELS = (
-    Model("SIMPLE_PINHOLE", 3, 1),
-    Model("PINHOLE", 4, 2),
-    Model("SIMPLE_RADIAL", 4, 1, ("k1",)),
-    Model("RADIAL", 5, 1, ("k1", "k2")),
-    Model("OPENCV", 8, 2, _OPENCV),
-    Model("OPENCV_FISHEYE", 8, 2, _FISHEYE, fisheye=True),
-    Model("FULL_OPENCV", 12, 2, _FULL),
-    Model("FOV", 5, 2, known=False),
-    Model("SIMPLE_RADIAL_FISHEYE", 4, 1, ("k1",), fisheye=True),
-    Model("RADIAL_FISHEYE", 5, 1, ("k1", "k2"), fisheye=True),
-    Model("THIN_PRISM_FISHEYE", 12, 2, fisheye=True, known=False),
+    CameraModel("SIMPLE_PINHOLE", 3, 1),
+    CameraModel("PINHOLE", 4, 2),
+    CameraModel("SIMPLE_RADIAL", 4, 1, ("k1",)),
+    CameraModel("RADIAL", 5, 1, ("k1", "k2")),
+    CameraModel("OPENCV", 8, 2, _OPENCV),
+    CameraModel("OPENCV_FISHEYE", 8, 2, _FISHEYE, fisheye=True),
+    CameraModel("FULL_OPENCV", 12, 2, _FULL),
+    CameraModel("FOV", 5, 2, known=False),
+    CameraModel("SIMPLE_RADIAL_FISHEYE", 4, 1, ("k1",), fisheye=True),
+    CameraModel("RADIAL_FISHEYE", 5, 1, ("k1", "k2"), fisheye=True),
+    CameraModel("THIN_PRISM_FISHEYE", 12, 2, fisheye=True, known=False),
 )
 BY_NAME = {model.name: model for model in MODELS}
 
@@ -61,7 +61,7 @@ class ColmapCamera:
     """
 
     camera_id: int
-    model: Model
+    model: CameraModel
     size: tuple[int, int]
     params: tuple[float, ...]
 

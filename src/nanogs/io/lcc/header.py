@@ -72,7 +72,7 @@ class LevelLocation:
         return int(self.ends[-1])
 
 
-class Model:
+class Header:
     """The header of an `.lcc` model, checked against the files beside it.
 
     Args:

@@ -21,7 +21,7 @@ from nanogs.findings import Finding
 from nanogs.frames import TRAINED, change_frame
 from nanogs.io.files import input_size
 from nanogs.io.info import FileInfo
-from nanogs.io.lcc.header import DATA, ENVIRONMENT, FRAME, HARMONICS, ROW, SH_ROW, Model, Ranges
+from nanogs.io.lcc.header import DATA, ENVIRONMENT, FRAME, HARMONICS, ROW, SH_ROW, Header, Ranges
 from nanogs.io.parts import FileSource, check_level, row_blocks
 from nanogs.io.rotations import whole_quats
 from nanogs.slices import overlapping
@@ -39,49 +39,49 @@ def open_level(path: Path, level: int = 0) -> "LccLevel":
         FormatError: A file is missing or damaged, they contradict each other, or the level is
             empty.
     """
-    model = Model(path)
-    check_level(path, level, len(model.levels))
-    return LccLevel(model, level)
+    header = Header(path)
+    check_level(path, level, len(header.levels))
+    return LccLevel(header, level)
 
 
 class LccLevel(FileSource):
     """The source of a level: its splats, cell by cell, followed by those of the environment."""
 
-    def __init__(self, model: Model, level: int) -> None:
-        super().__init__(model.path)
-        self._model, self._runs = model, model.levels[level]
+    def __init__(self, header: Header, level: int) -> None:
+        super().__init__(header.path)
+        self._header, self._runs = header, header.levels[level]
         if not self._runs.count:
             raise FormatError(f"{self.path} holds no splats of level {level}; export it again.")
-        kinds = [*_TYPES.items(), *([("sh", "uint")] if model.harmonics else [])]
+        kinds = [*_TYPES.items(), *([("sh", "uint")] if header.harmonics else [])]
         self.info = FileInfo(
             path=self.path,
             format="lcc",
             encoding="binary_little_endian",
-            file_bytes=sum(map(input_size, model.files())),
-            splats=self._runs.count + model.environment,
-            sh_degree=model.degree,
+            file_bytes=sum(map(input_size, header.files())),
+            splats=self._runs.count + header.environment,
+            sh_degree=header.degree,
             properties=tuple(kinds),
         )
 
     @property
     def files(self) -> Sequence[Path]:
         """The JSON file and all files beside it that are read; see `FileSource`."""
-        return self._model.files()
+        return self._header.files()
 
     @property
     def levels(self) -> tuple[int, ...]:
         """Number of splats of each level, the environment included; see `FileSource`."""
-        return tuple(level.count + self.environment for level in self._model.levels)
+        return tuple(level.count + self.environment for level in self._header.levels)
 
     @cached_property
     def environment(self) -> int:
         """Number of splats of the environment, which are in every level; see `FileSource`."""
-        return self._model.environment
+        return self._header.environment
 
     def _span(self, start: int, stop: int) -> Splats:
         """Read rows `start` to `stop`; see `Source`."""
-        model = self._model
-        out = empty_arrays(stop - start, model.degree)
+        header = self._header
+        out = empty_arrays(stop - start, header.degree)
         at = normals = 0
         with np.errstate(all="ignore"):  # the file may hold NaN, infinity, scales of 0
             for ranges, block, sh in self._blocks(start, stop):
@@ -96,22 +96,22 @@ class LccLevel(FileSource):
 
     def _blocks(self, start: int, stop: int) -> Iterator[tuple[Ranges, Array, Array | None]]:
         """Yield blocks of stored rows: the ranges of their codes, the rows, and their harmonics."""
-        model, runs = self._model, self._runs
+        header, runs = self._header, self._runs
         for cell, low, high in overlapping(runs.ends, start, min(stop, runs.count)):
             offset = int(runs.offsets[cell]) + low * ROW.itemsize
-            plain = row_blocks(model.beside(DATA), ROW, offset, high - low)
-            if not model.harmonics:
-                yield from ((model.ranges, block, None) for _, block in plain)
+            plain = row_blocks(header.beside(DATA), ROW, offset, high - low)
+            if not header.harmonics:
+                yield from ((header.ranges, block, None) for _, block in plain)
                 continue
-            more = row_blocks(model.beside(HARMONICS), SH_ROW, 2 * offset, high - low)
+            more = row_blocks(header.beside(HARMONICS), SH_ROW, 2 * offset, high - low)
             for (_, block), (_, coefficients) in zip(plain, more, strict=True):
-                yield model.ranges, block, coefficients["sh"]
+                yield header.ranges, block, coefficients["sh"]
         low, high = max(start, runs.count) - runs.count, stop - runs.count
         if low < high:
-            row = model.environment_row
-            path = model.beside(ENVIRONMENT)
+            row = header.environment_row
+            path = header.beside(ENVIRONMENT)
             for _, block in row_blocks(path, row, low * row.itemsize, high - low):
-                yield model.environment_ranges, block, block["sh"] if model.harmonics else None
+                yield header.environment_ranges, block, block["sh"] if header.harmonics else None
 
 
 def _decode(block: Array, sh: Array | None, ranges: Ranges, out: dict[str, Any]) -> None:
