@@ -93,7 +93,7 @@ class Engine:
         )
 
 
-class Model:
+class DeviceSplats:
     """A model in a device's memory; the arguments are those of `kernels.project.project_splats`."""
 
     def __init__(
@@ -129,7 +129,7 @@ class View:
     """
 
     def __init__(
-        self, model: Model, rotation: F64, position: F64, intrinsics: F64, degree: int
+        self, model: DeviceSplats, rotation: F64, position: F64, intrinsics: F64, degree: int
     ) -> None:
         engine, n = model.engine, model.count
         self.engine, self.count = engine, n

@@ -8,7 +8,7 @@ import warp as wp
 
 from nanogs._types import F32, F64, Bool
 from nanogs.card.advancing import FittedSplats, StepConstants, advance_splats, average
-from nanogs.card.engine import Model
+from nanogs.card.engine import DeviceSplats
 from nanogs.kernels.advance import MOST_DETERMINED
 from nanogs.kernels.chain import PACKED
 
@@ -44,18 +44,18 @@ class FittedModel:
         initial_sh: (N, K, 3) coefficients that ridges pull back to.
         axes: (N, 3, 3) rotation matrices.
         scales: (N, 3) scene units.
-        pace: Parameters of the steps.
+        parameters: Of the steps.
     """
 
     def __init__(
         self,
-        model: Model,
+        model: DeviceSplats,
         columns: Sequence[F64 | Bool],
         displacements: F32,
         initial_sh: F32,
         axes: F32,
         scales: F32,
-        pace: StepParameters,
+        parameters: StepParameters,
     ) -> None:
         put, n = model.engine.put, len(initial_sh)
         self._model, self._count = model, n
@@ -72,8 +72,9 @@ class FittedModel:
         moving.weights = put(np.zeros(n, np.float32))
         moving.displacements = put(displacements)
         rules = StepConstants()
-        rules.damping, rules.floor, rules.memory = pace.damping, pace.floor, pace.memory
-        rules.limits, rules.bands, rules.single = put(pace.limits), put(pace.bands), pace.single
+        rules.damping, rules.floor = parameters.damping, parameters.floor
+        rules.memory, rules.single = parameters.memory, parameters.single
+        rules.limits, rules.bands = put(parameters.limits), put(parameters.bands)
         self._moving, self._rules = moving, rules
 
     def step(

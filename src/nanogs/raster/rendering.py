@@ -26,7 +26,7 @@ from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import RenderMode, Splats, padded, refuse_other
 
 if TYPE_CHECKING:
-    from nanogs.card.engine import Engine, Model, View
+    from nanogs.card.engine import DeviceSplats, Engine, View
 
 BLACK = (0.0, 0.0, 0.0)
 _ROUNDING = 0.01  # largest entry of |RRᵀ - I| of a camera; those of files are nearer
@@ -289,11 +289,11 @@ def camera_arrays(camera: Camera) -> tuple[F64, F64, F64]:
     return rotation, camera.position, camera.intrinsics
 
 
-def uploaded(engine: "Engine", prepared: PreparedSplats) -> "Model":
+def uploaded(engine: "Engine", prepared: PreparedSplats) -> "DeviceSplats":
     """Copy a model to a device."""
-    from nanogs.card.engine import Model
+    from nanogs.card.engine import DeviceSplats
 
-    return Model(
+    return DeviceSplats(
         engine,
         prepared.means,
         prepared.factors,
