@@ -21,7 +21,7 @@ from nanogs.protocol import BLACK, Background, background_text
 from nanogs.raster.camera import Camera
 from nanogs.scoring.photo_views import PhotoViews
 from nanogs.splats import Splats
-from nanogs.views.cameras import AUTOMATIC
+from nanogs.views.cameras import KINDS
 
 if TYPE_CHECKING:  # these import Numba
     from nanogs.scoring.scores import ReferenceView
@@ -209,7 +209,7 @@ def _fit_cameras(scene: BenchScene, splats: Splats, settings: BenchSettings) -> 
     """Return automatic views for the baselines to learn from."""
     from nanogs.views.automatic import automatic_cameras
 
-    size, kind = settings.sizes[0], AUTOMATIC.get(settings.kinds[0], "auto")
+    size, kind = settings.sizes[0], KINDS.get(settings.kinds[0], "auto")
     return tuple(
         automatic_cameras(
             splats, settings.fit_views, width=size, height=size, kind=kind, up=scene.up

@@ -28,7 +28,7 @@ from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import pack
 from nanogs.view.page import Shown, facts_of, viewer_part
-from nanogs.views.cameras import AUTOMATIC
+from nanogs.views.cameras import KINDS
 from nanogs.views.opening import Opening, opening_for
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def compare_files(
 def _first_view(seen: ComparedViews | Photographs, found: ScoredModels) -> "Kind | Camera":
     """Return the view that the page's viewer opens with: of the first kind, or the first camera."""
     if isinstance(seen, ComparedViews) and seen.sources:
-        return AUTOMATIC.get(seen.sources[0], "auto")
+        return KINDS.get(seen.sources[0], "auto")
     return found.cameras[0]
 
 

@@ -23,7 +23,7 @@ from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import Packed, pack
 from nanogs.view.page import Shown, facts_of, render_page
-from nanogs.views.cameras import AUTOMATIC, chosen_cameras, known_cameras
+from nanogs.views.cameras import KINDS, chosen_cameras, known_cameras
 from nanogs.views.costing import pictures_of
 from nanogs.views.opening import opening_for
 
@@ -144,7 +144,7 @@ def view_files(
         found = [] if isinstance(wanted, str) else wanted
         if measured and isinstance(wanted, str):
             found, kind = chosen_cameras(models[0], wanted, views, (width, height), up)
-        first_view = AUTOMATIC.get(wanted, "auto") if isinstance(wanted, str) else wanted[0]
+        first_view = KINDS.get(wanted, "auto") if isinstance(wanted, str) else wanted[0]
         start = opening_for(models[0], first_view, up)
     texts = [_level_text(counts, level) for counts in levels]
     judged, notes = None, other_frames(files)

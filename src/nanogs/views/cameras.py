@@ -20,9 +20,8 @@ from nanogs.views.decimated import decimated
 Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
 """Cameras, or their source: "auto", "orbit", "inside", "roam", or a file or folder of cameras."""
 
-AUTOMATIC: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
-FOUND: dict[str, Origin] = {**AUTOMATIC, "roam": "roam"}  # all kinds of automatic cameras
-
+KINDS: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
+FOUND: dict[str, Origin] = {**KINDS, "roam": "roam"}  # all automatic cameras
 
 _OF_NERFSTUDIO = (
     "The model was exported by nerfstudio, which trains in other coordinates than those of its data"
@@ -59,8 +58,8 @@ def cameras_for(
         NanogsError: `model` is no model, or the source is neither, or cannot be read.
     """
     refuse_no_model(model)
-    if source in AUTOMATIC:
-        kind = AUTOMATIC[source]
+    if source in KINDS:
+        kind = KINDS[source]
         return automatic_cameras(
             model, count, width=width, height=height, kind=kind, up=up, split=split
         )
