@@ -19,7 +19,7 @@ from nanogs.formatting import bytes_text
 from nanogs.io.rad.header import read_header
 from nanogs.io.rad.levels import heights
 from nanogs.lod import links
-from nanogs.lod.tree import Layer, above, as_rows, build, layers_of, units_of
+from nanogs.lod.tree import Layer, above, as_rows, build, layers_of, tree_units_of
 from nanogs.lod.tree_file import LevelsTree
 from nanogs.method.order import morton_order
 from nanogs.metrics import psnr
@@ -74,7 +74,7 @@ def test_transparent_leaves_do_not_change_the_size_of_the_root():
         middle = np.array([means[groups == each].mean(axis=0) for each in range(count // 4)])
         layers = [Layer(means, groups), Layer(middle, np.zeros(count // 4, np.int64))]
         top = Layer(means.mean(axis=0)[None], np.empty(0, np.int64))
-        return build(leaves, [*layers, top], units_of(InMemory(splats))).layers[-1].load()
+        return build(leaves, [*layers, top], tree_units_of(InMemory(splats))).layers[-1].load()
 
     assert np.allclose(root(24).log_scales, root(20).log_scales, atol=1e-3)
 
@@ -96,7 +96,7 @@ def root_of(splats, together):
         layers.append(Layer(means, np.arange(len(means)) // together))
         means = means.reshape(-1, together, 3).mean(axis=1)
     top = Layer(means, np.empty(0, np.int64))
-    return build(leaves, [*layers, top], units_of(leaves)).layers[-1].load()
+    return build(leaves, [*layers, top], tree_units_of(leaves)).layers[-1].load()
 
 
 @pytest.mark.parametrize("together", [2, 8])
@@ -382,16 +382,16 @@ def test_nodes_above_the_coarsest_level_are_in_the_middle_of_their_children():
 def test_siblings_are_sorted_by_position():
     splats = random_splats(60, degree=0)
     layers = layers_of([InMemory(splats), InMemory(splats.take(np.arange(1)))])
-    order = build(InMemory(splats), layers, units_of(InMemory(splats))).order
+    order = build(InMemory(splats), layers, tree_units_of(InMemory(splats))).order
     assert order.tolist() == morton_order(splats.means.astype(np.float64)).tolist()
 
 
 def test_units_are_those_of_the_whole_model(monkeypatch):
     splats = random_splats(600, degree=0)
     splats.means[300:] += 10
-    expected = units_of(InMemory(splats)).origin
+    expected = tree_units_of(InMemory(splats)).origin
     monkeypatch.setattr("nanogs.lod.tree._SAMPLE", 100)
-    np.testing.assert_allclose(units_of(InMemory(splats)).origin, expected, atol=1)
+    np.testing.assert_allclose(tree_units_of(InMemory(splats)).origin, expected, atol=1)
 
 
 def test_an_existing_file_is_refused_before_the_work(tmp_path):

@@ -44,7 +44,7 @@ MOST_CHILDREN = (1 << 16) - 1
 # that may grow by a factor of two, three scenes looked best.
 _PIXELS = 160
 _GROWTH = 2.0
-_SAMPLE = 1 << 16  # about the number of leaves from which `Units` are computed
+_SAMPLE = 1 << 16  # about the number of leaves from which `TreeUnits` are computed
 _ROWS = 1 << 15  # rows merged at a time; more if one parent has more children
 
 
@@ -184,7 +184,7 @@ def as_rows(leaves: Source, layers: Sequence[Layer]) -> tuple[Source, Tree]:
         leaves: The finest level.
         layers: From that to the root, as `layers_of` returns them.
     """
-    made = build(leaves, layers, units_of(leaves))
+    made = build(leaves, layers, tree_units_of(leaves))
     return Joined(made.layers[::-1]), Tree(np.concatenate(made.children[::-1]))
 
 
@@ -238,7 +238,7 @@ class Built(NamedTuple):
 
 
 def build(
-    leaves: Source, layers: Sequence[Layer], units: "Units", below: Moments | None = None
+    leaves: Source, layers: Sequence[Layer], units: "TreeUnits", below: Moments | None = None
 ) -> Built:
     """Sort all layers and compute the inner splats from the moments of all leaves below them.
 
@@ -274,7 +274,7 @@ def _places(layers: Sequence[Layer]) -> tuple[list[I64], list[I64]]:
     return orders[::-1], children[::-1]
 
 
-class Units(NamedTuple):
+class TreeUnits(NamedTuple):
     """The values with which splats are converted to nodes; see `activate_nodes`.
 
     Attributes:
@@ -290,8 +290,8 @@ class Units(NamedTuple):
     usual: float
 
 
-def units_of(leaves: Source) -> Units:
-    """Compute `Units` from a sample of the leaves."""
+def tree_units_of(leaves: Source) -> TreeUnits:
+    """Compute `TreeUnits` from a sample of the leaves."""
     some = leaves.take(np.arange(0, leaves.count, leaves.count // _SAMPLE + 1))
     means = some.means.astype(np.float64)
     origin = means.mean(axis=0)
@@ -299,11 +299,11 @@ def units_of(leaves: Source) -> Units:
     thinnest = thinnest_axis(some.scales(), means, dilation.least)
     rows: I32 = np.arange(len(some), dtype=np.int32)
     nodes = activate_nodes(some, rows, origin, dilation, thinnest)
-    return Units(origin, dilation, thinnest, typical_weight(nodes.coverages) or 1.0)
+    return TreeUnits(origin, dilation, thinnest, typical_weight(nodes.coverages) or 1.0)
 
 
 def _merged_layer(
-    below: Source, moments: Moments | None, children: I64, units: Units
+    below: Source, moments: Moments | None, children: I64, units: TreeUnits
 ) -> tuple[Splats, Moments]:
     """Compute the splats of a layer by merging the rows of the next finer one.
 
@@ -335,7 +335,7 @@ def _merged_layer(
     return concatenate(made), Moments.joined(found)
 
 
-def _nodes(splats: Splats, moments: Moments | None, rows: slice, units: Units) -> Nodes:
+def _nodes(splats: Splats, moments: Moments | None, rows: slice, units: TreeUnits) -> Nodes:
     """Return the nodes of some rows, with weights in proportion to their coverage.
 
     With these weights, moments that are merged from moments equal those merged from all leaves.

@@ -16,7 +16,7 @@ import numpy as np
 from nanogs._types import I64
 from nanogs.block_layouts import BlockTree, Encoding
 from nanogs.io.rad.header import CHUNK_ROWS
-from nanogs.lod.tree import COLUMNS, Moments, build, layers_of, refuse_many, units_of
+from nanogs.lod.tree import COLUMNS, Moments, build, layers_of, refuse_many, tree_units_of
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.slices import overlapping
 from nanogs.source import InMemory, Source
@@ -42,7 +42,7 @@ class Linked:
         """Build the tree of a block; see `block_layouts.Linked`."""
         layers = layers_of(levels, steps=steps)
         leaves = InMemory(levels[0].load())
-        made = build(leaves, layers, units_of(InMemory(some)))
+        made = build(leaves, layers, tree_units_of(InMemory(some)))
         children = [partial(_part, counts) for counts in made.children]
         nodes, counts = made.moments
         roots = {_COUNTS: counts, **{name: getattr(nodes, name) for name in COLUMNS}}
@@ -133,7 +133,7 @@ def joined_trees(
     roots = InMemory(concatenate([tree.layers[-1].load() for tree in trees]))
     levels = len(trees[0].layers) - 1
     up = layers_of([roots, *further], first=levels - 1)
-    top = build(roots, up, units_of(InMemory(some)), _moments_of(trees))
+    top = build(roots, up, tree_units_of(InMemory(some)), _moments_of(trees))
     layers, children = list(top.layers), list(top.children)
     bounds = _bounds(trees)
     below = np.concatenate([np.diff(each[-2]) for each in bounds]) if levels else None
