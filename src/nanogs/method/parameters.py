@@ -42,8 +42,8 @@ class ForestParameters:
         further: Number of further views to fit to. Few are rendered in advance and kept, many are
             rendered when their turn comes.
         finer: Width of a pixel that automatic views show, over that of a picture of their size: the
-            geometric mean of all views to fit to (`fit.views.choose_cameras`). Below 1 results are
-            better in larger pictures and from nearer, and worse in small ones.
+            geometric mean of all views (`fit.views.choose_cameras`). Below 1 results are better in
+            larger pictures and from nearer, and worse in small ones.
         halves: Whether a step of the fit uses half of its view's pixels, every other block of
             4 x 4: half the work, and a loss of less than 0.1 dB if there are few steps.
         around: Number of small views from all around the model, from above and below too, that are
