@@ -635,13 +635,6 @@ def test_rounds_end_if_nothing_was_kept_at_a_twentieth_of_the_first_rate(monkeyp
 def test_the_last_fifth_of_all_steps_is_averaged_but_no_more_than_a_round(rounds, steps, averaged):
     added = []
 
-    class Mean:
-        def add(self):
-            added.append(None)
-
-        def state(self):
-            return "mean"
-
     class Steps:
         parameters = RefitParameters(rounds=rounds, steps=steps)
         state = "last"
@@ -649,8 +642,11 @@ def test_the_last_fifth_of_all_steps_is_averaged_but_no_more_than_a_round(rounds
         def step(self, _rate, _share):
             return 0.0
 
-        def running_mean(self):
-            return Mean()
+        def add_to_mean(self):
+            added.append(None)
+
+        def mean(self):
+            return "mean"
 
     reached = [_round(Steps(), 1.0, number, ignore_progress)[0] for number in range(rounds)]
     assert len(added) == averaged

@@ -7,7 +7,7 @@ the curvatures are those of a separable surrogate (see `nanogs.kernels.backward`
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -70,6 +70,7 @@ class Descent:
         self._queue: list[int] = []
         self._turns = 0  # passes over all views begun so far
         self._count = 0  # steps since `begin`
+        self._mean = MeanState()
         self._displacements = np.zeros((len(splats), DISPLACEMENT), np.float32)
         self.begin(start(splats))
 
@@ -98,9 +99,13 @@ class Descent:
         self._displacements[:, MOST_DETERMINED] = determined
         self._count = 0
 
-    def running_mean(self) -> "RunningMean":
-        """Return an empty running mean of the states; its `add` includes the current one."""
-        return CpuRunningMean(self)
+    def add_to_mean(self) -> None:
+        """Add the current state to the mean of states."""
+        self._mean.add(self.state)
+
+    def mean(self) -> State:
+        """Return the mean of the states that were added, one at least; see `MeanState`."""
+        return self._mean.state()
 
     def release(self) -> None:
         """Free the memory that only steps need, after the last one."""
@@ -184,31 +189,6 @@ class Descent:
             self._displacements,
         )
         return view.error
-
-
-class RunningMean(Protocol):
-    """A running mean of the states of a descent."""
-
-    def add(self) -> None:
-        """Include the current state."""
-
-    def state(self) -> State:
-        """Return the mean, with unit quaternions; needs at least one `add`."""
-
-
-class CpuRunningMean:
-    """A running mean of the states of a descent on the CPU; see `RunningMean`."""
-
-    def __init__(self, descent: Descent) -> None:
-        self._descent, self._mean = descent, MeanState()
-
-    def add(self) -> None:
-        """Include the current state."""
-        self._mean.add(self._descent.state)
-
-    def state(self) -> State:
-        """Return the mean, with unit quaternions; needs at least one `add`."""
-        return self._mean.state()
 
 
 def _bands(degree: int, parameters: RefitParameters) -> F64:

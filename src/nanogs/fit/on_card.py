@@ -28,6 +28,8 @@ class CardDescent(Descent):
     """A `Descent` whose splats are on a device, which also computes the steps."""
 
     _moving: "FittedModel"
+    _summed: "FittedSplats | None" = None  # the mean of states
+    _added = 0  # states in it
 
     def __init__(
         self,
@@ -70,9 +72,20 @@ class CardDescent(Descent):
             ),
         )
 
-    def running_mean(self) -> "CardRunningMean":
-        """Return an empty running mean on the device; its `add` includes the current state."""
-        return CardRunningMean(self._moving)
+    def add_to_mean(self) -> None:
+        """Add the current state to the mean of states, which is on the device."""
+        self._added += 1
+        if self._summed is None:
+            self._summed = self._moving.begin_mean()
+        else:
+            self._moving.add_to_mean(self._summed, 1 / self._added)
+
+    def mean(self) -> State:
+        """Return the mean of the states that were added, copied from the device."""
+        assert self._summed is not None  # noqa: S101 - callers have added a state
+        mean = State(*self._moving.columns(self._summed))
+        lengths = np.linalg.norm(mean.quats, axis=1, keepdims=True)
+        return replace(mean, quats=mean.quats / lengths)
 
     def _average_shared(self, shared: "SharedHarmonics") -> None:
         sh = self._moving.coefficients()
@@ -91,30 +104,6 @@ class CardDescent(Descent):
             return found[1], view_on(self._engine, *found).in_bytes(wanted)
         target = self.views.kept[index]
         return target.camera, picture_on(self._engine, target)
-
-
-class CardRunningMean:
-    """A running mean of the states of a descent on a device; see `fit.state.MeanState`."""
-
-    def __init__(self, moving: "FittedModel") -> None:
-        self._moving = moving
-        self._mean: FittedSplats | None = None
-        self._count = 0
-
-    def add(self) -> None:
-        """Include the current state."""
-        self._count += 1
-        if self._mean is None:
-            self._mean = self._moving.begin_mean()
-        else:
-            self._moving.add_to_mean(self._mean, 1 / self._count)
-
-    def state(self) -> State:
-        """Return the mean, with unit quaternions; needs at least one `add`."""
-        assert self._mean is not None  # noqa: S101 - callers have added a state
-        mean = State(*self._moving.columns(self._mean))
-        lengths = np.linalg.norm(mean.quats, axis=1, keepdims=True)
-        return replace(mean, quats=mean.quats / lengths)
 
 
 def descent_for(

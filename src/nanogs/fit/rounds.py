@@ -123,19 +123,19 @@ def fit(
     Returns:
         The fitted model, or the input itself if nothing improved it, and the outcome.
     """
-    guard = Validator(small, deciding, fitting.surroundings, shared)
+    validator = Validator(small, deciding, fitting.surroundings, shared)
     descent = descent_for(small, fitting, parameters, shared)
     best: State | None = None  # None is the input
     rate = parameters.rate
     reports: list[RoundReport] = []
     stop = RefitStop.ROUNDS
     for number in range(parameters.rounds):
-        begin, before = time.perf_counter(), _mean(guard.best)
+        begin, before = time.perf_counter(), _mean(validator.best)
         reached, errors = _round(descent, rate, number, on_progress)
         last = number == parameters.rounds - 1
         if last:
             descent.release()
-        best, share = _line_search(guard, best, small, reached)
+        best, share = _line_search(validator, best, small, reached)
         if best is not None and not last and share == 1:
             best = best.copy()  # because the descent continues to change its state in place
         reports.append(
@@ -145,7 +145,7 @@ def fit(
                 rate=rate,
                 fit_psnr=_psnr(_mean(errors)),
                 psnr_before=before,
-                psnr_after=_mean(guard.best),
+                psnr_after=_mean(validator.best),
                 share=share,
                 seconds=time.perf_counter() - begin,
             )
@@ -161,24 +161,24 @@ def fit(
     nothing = "No step of the fit improved the validation views, so the model was not changed."
     notes = range_notes(best) if best else (nothing,)
     outcome = FitOutcome(
-        groups=guard.reports(),
-        psnr_before=_mean(guard.before),
-        psnr_after=_mean(guard.best),
+        groups=validator.reports(),
+        psnr_before=_mean(validator.before),
+        psnr_after=_mean(validator.best),
         improved=improved,
         rounds=tuple(reports),
         stop=stop,
         notes=notes,
     )
-    return guard.delivered(best) if best else small, outcome
+    return validator.delivered(best) if best else small, outcome
 
 
 def _line_search(
-    guard: Validator, best: State | None, small: Splats, state: State
+    validator: Validator, best: State | None, small: Splats, state: State
 ) -> tuple[State | None, float]:
-    """Search from the end of a round back to the best state for a state that the guard accepts.
+    """Search from the end of a round back to the best state for a state that the validator accepts.
 
     Args:
-        guard: Accepts or rejects states.
+        validator: Accepts or rejects states.
         best: The best state so far; None is the input.
         small: The input.
         state: The state at the end of the round.
@@ -188,7 +188,7 @@ def _line_search(
     """
     for share in SHARES:
         between = state if share == 1 else (best or start(small)).towards(state, share)
-        if guard.accepts(between):
+        if validator.accepts(between):
             return between, share
     return best, 0.0
 
@@ -204,14 +204,13 @@ def _round(
     steps = descent.parameters.steps
     total = steps * descent.parameters.rounds
     averaged = max((1 - AVERAGED) * total, total - steps)
-    errors, mean = list[float](), None
-    for i in range(number * steps, (number + 1) * steps):
+    errors, end = list[float](), (number + 1) * steps
+    for i in range(number * steps, end):
         on_progress(i, total)
         errors.append(descent.step(rate, i / total))
         if i >= averaged:
-            mean = mean or descent.running_mean()
-            mean.add()
-    return mean.state() if mean else descent.state, errors
+            descent.add_to_mean()
+    return descent.mean() if end - 1 >= averaged else descent.state, errors
 
 
 def _mean(values: Sequence[float]) -> float:
