@@ -212,11 +212,10 @@ def render_findings(
             size = pictures_of(wanted, views, pixels)
             room = room_for_pictures(source, *size, limit, photographs=held, remedy=remedy)
             some = source_of(source).load() if room is None else source
-            if isinstance(wanted, str):
-                chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
-            else:
-                chosen, kind = wanted, "photographs" if frames else "given"
-            if not frames:  # photographs have notes of their own
+            chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
+            if frames:
+                kind = "photographs"
+            else:  # photographs have notes of their own
                 notes = tuple(camera_notes(chosen))
             tracker.begin("render")
             protocol = views_of(chosen, kind, split if frames else "test", behind)

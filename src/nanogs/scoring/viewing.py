@@ -140,9 +140,9 @@ def view_files(
         models = _read(inputs, levels, level, render_mode, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):
+        found: list[Camera] = []
         kind: Kind = "given"
-        found = [] if isinstance(wanted, str) else wanted
-        if measured and isinstance(wanted, str):
+        if measured:
             found, kind = chosen_cameras(models[0], wanted, views, (width, height), up)
         first_view = KINDS.get(wanted, "auto") if isinstance(wanted, str) else wanted[0]
         start = opening_for(models[0], first_view, up)
