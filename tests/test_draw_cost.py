@@ -22,7 +22,7 @@ from nanogs.scoring.view_sets import view_sets
 from nanogs.splats import RenderMode
 from nanogs.views import covering
 from nanogs.views.automatic import automatic_cameras
-from nanogs.views.costing import views_of
+from nanogs.views.costing import protocol_of
 from nanogs.views.covering import cost_on
 from nanogs.views.plan import LEAST
 from reference_raster import ROUNDING_MARGIN, splat_on_screen
@@ -78,7 +78,7 @@ def test_a_splat_of_known_size_covers_a_disc_of_known_radius():
 def test_tile_pairs_are_counted_as_the_rasteriser_lists_them():
     model = random_splats(500, seed=2)
     cameras = [make_camera(100, 70, 60.0), make_camera(40, 90, 20.0)]
-    cost = cost_on(model, cameras, views_of(cameras, "given"))
+    cost = cost_on(model, cameras, protocol_of(cameras, "given"))
     lists = [project(prepare(model), camera) for camera in cameras]
     assert cost.tile_pairs == sum(len(view_lists.entries) for view_lists in lists) / 2
     assert cost.drawn == sum(len(view_lists.order) for view_lists in lists) / 2
@@ -96,7 +96,7 @@ def test_a_hundredth_of_the_pixels_may_be_covered_more_often():
     for alpha, pixels, most in ((0.02, 4, 0), (0.5, 12, 1)):  # of 400 pixels
         splats = one_splat(scale=1e-3, logit=np.log(alpha / (1 - alpha)))
         assert covered(splats, camera).sum() == pixels
-        assert cost_on(splats, [camera], views_of([camera], "given")).most_a_pixel == most
+        assert cost_on(splats, [camera], protocol_of([camera], "given")).most_a_pixel == most
 
 
 def test_the_largest_share_is_that_of_a_hundredth_of_the_splats():
@@ -109,7 +109,7 @@ def test_the_largest_share_is_that_of_a_hundredth_of_the_splats():
         **{name: np.concatenate([getattr(small, name), getattr(large, name)]) for name in columns},
     )
     tiles = np.sort(np.bincount(project(prepare(both), camera).entries, minlength=201))
-    cost = cost_on(both, [camera], views_of([camera], "given"))
+    cost = cost_on(both, [camera], protocol_of([camera], "given"))
     assert cost.largest_share == tiles[-3:].sum() / tiles.sum(), "3 of 201 are a hundredth or more"
     assert cost.largest_share > 0.6
 
@@ -132,7 +132,7 @@ def test_larger_splats_cost_more_to_draw():
     cameras = [make_camera(128, 128, 60.0)]
     larger = replace(model, log_scales=model.log_scales + 0.5)
     before, after = (
-        cost_on(splats, cameras, views_of(cameras, "given")) for splats in (model, larger)
+        cost_on(splats, cameras, protocol_of(cameras, "given")) for splats in (model, larger)
     )
     assert after.splats_a_pixel > 1.3 * before.splats_a_pixel
     assert after.tile_pairs > before.tile_pairs
@@ -142,7 +142,7 @@ def test_a_model_out_of_view_costs_nothing():
     model = random_splats(30)
     away = [replace(make_camera(), world_to_camera=np.diag([1.0, 1, -1, 1]))]
     behind = replace(model, means=model.means + np.float32([0, 0, 50]))
-    cost = cost_on(behind, away, views_of(away, "given"))
+    cost = cost_on(behind, away, protocol_of(away, "given"))
     assert (cost.splats_a_pixel, cost.most_a_pixel, cost.tile_pairs, cost.largest_share) == (
         0.0, 0, 0.0, 0.0,
     )  # fmt: skip

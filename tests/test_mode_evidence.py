@@ -18,7 +18,7 @@ from nanogs.memory_estimates import drawn_bytes, models_bytes, shown_bytes
 from nanogs.protocol import Protocol
 from nanogs.scoring.modes import ModeEvidence, evidence_on
 from nanogs.splats import RenderMode
-from nanogs.views.costing import views_of
+from nanogs.views.costing import protocol_of
 from nanogs.views.plan import LEAST
 from reference_raster import splat_on_screen
 from test_raster import make_camera, make_splats
@@ -81,7 +81,7 @@ def test_shares_of_thin_and_faded_splats_match_a_plain_loop():
         [make_camera(), make_camera(60, 50, 70.0)],
     )
     found = evidence_on(
-        model, cameras, views_of(cameras, "given"), [], None, lambda _done, _parts: None
+        model, cameras, protocol_of(cameras, "given"), [], None, lambda _done, _parts: None
     )
     visible = thin = faded = 0
     for camera in cameras:
@@ -112,7 +112,7 @@ def test_a_model_that_is_read_in_parts_has_the_same_evidence(tmp_path, monkeypat
     cameras = [make_camera(48, 40, 40.0), make_camera(30, 30, 30.0)]
     view_options = (
         cameras,
-        views_of(cameras, "given"),
+        protocol_of(cameras, "given"),
         [],
     )
 
@@ -131,7 +131,7 @@ def test_a_model_out_of_sight_gives_no_evidence():
     model, camera = random_splats(20), make_camera()
     away = replace(model, means=model.means - np.float32([0, 0, 50]))
     found = evidence_on(
-        away, [camera], views_of([camera], "given"), [], None, lambda _done, _parts: None
+        away, [camera], protocol_of([camera], "given"), [], None, lambda _done, _parts: None
     )
     assert (found.thin, found.faded, found.leak) == (0.0, 0.0, None)
     assert math.isinf(found.between)

@@ -24,7 +24,7 @@ from nanogs.scoring.unpacked import UnpackedModel
 from nanogs.source import Layout, Source, source_of
 from nanogs.splats import Splats
 from nanogs.views.cameras import frame_notes
-from nanogs.views.costing import views_of
+from nanogs.views.costing import protocol_of
 from nanogs.views.covering import cost_on
 from nanogs.views.streamed import drawable
 
@@ -195,7 +195,7 @@ def compare_models(
         notes.append(f"the reference: {undrawn(first.skipped)}")
     notes += [*_differences(reference, models), *camera_notes(cameras)]
     notes += frame_notes(cameras, reference.splats)
-    protocol = views_of(_cameras(views), kind, background=background)
+    protocol = protocol_of(_cameras(views), kind, background=background)
     cost = cost_on(reference.splats, _cameras(views), protocol) if scoring.costs else None
     scores, sheets = score_models(models, views, protocol, scoring, progress)
     found = _comparison(
@@ -229,7 +229,7 @@ def compare_with_photographs(
         OptionError: No model is given.
     """
     cameras = _cameras(views)
-    protocol = views_of(cameras, "photographs", split, background)
+    protocol = protocol_of(cameras, "photographs", split, background)
     progress = progress or Tracker(None, [])
     scores, sheets = score_models(models, views, protocol, scoring, progress)
     notes = frame_notes(cameras, models[0].splats)

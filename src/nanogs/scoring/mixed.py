@@ -148,7 +148,7 @@ def compare_mixed(
     from nanogs.scoring.mixed_views import read_levels
     from nanogs.scoring.scores import reference_views
     from nanogs.threads import use_threads
-    from nanogs.views.costing import views_of
+    from nanogs.views.costing import protocol_of
 
     scores, notes = list[MixedScore](), list[str]()
     with ExitStack() as stack:
@@ -170,7 +170,7 @@ def compare_mixed(
             notes += [*found.notes, *camera_notes(found.cameras)]
             notes += notes_on_views(empty, "nothing of the original is visible; left out")
             cameras = [view.camera for view in seen]
-            protocol = views_of(cameras, found.kind, background=background)
+            protocol = protocol_of(cameras, found.kind, background=background)
             tracker.begin("score")
             for done, (name, stream) in enumerate(zip(called[1:], stream_levels, strict=True)):
                 view_scores = list["MixedView"]()

@@ -24,7 +24,7 @@ from nanogs.scoring.view_sets import refuse_beside_photos, refuse_beside_views
 from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras, picture_size
-from nanogs.views.costing import pictures_of, views_of
+from nanogs.views.costing import pictures_of, protocol_of
 from nanogs.views.plan import rendering_remedy, room_for_pictures
 
 if TYPE_CHECKING:
@@ -218,7 +218,7 @@ def render_findings(
             else:  # photographs have notes of their own
                 notes = tuple(camera_notes(chosen))
             tracker.begin("render")
-            protocol = views_of(chosen, kind, split if frames else "test", behind)
+            protocol = protocol_of(chosen, kind, split if frames else "test", behind)
             truth = [view.image for view in frames]  # decoded here
             modes = evidence_on(some, chosen, protocol, truth, room, tracker.part)
             cost = None

@@ -69,15 +69,15 @@ def draw_cost(
             tracker.begin("cameras")
             chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
             tracker.begin("cover")
-            cost = cost_on(some, chosen, views_of(chosen, kind), tracker.part)
+            cost = cost_on(some, chosen, protocol_of(chosen, kind), tracker.part)
             tracker.finish()
     return cost
 
 
-def views_of(
+def protocol_of(
     cameras: Sequence[Camera], kind: Kind, split: str = "test", background: Background = BLACK
 ) -> Protocol:
-    """Make the protocol that describes some views in reports.
+    """Return the protocol that describes some views in reports.
 
     Args:
         cameras: The views.
