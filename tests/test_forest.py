@@ -18,7 +18,7 @@ from nanogs.kernels import assign
 from nanogs.kernels.assign import assign_nearest, invert_covariances
 from nanogs.method import forest as growth
 from nanogs.method import parameters, reassign
-from nanogs.method.choose import further_growths, quality
+from nanogs.method.choose import LUMA, further_growths, quality
 from nanogs.method.cut import cut, label_groups, merge_scores
 from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.growth import blocked, effective_counts
@@ -36,7 +36,6 @@ from nanogs.method.nodes import (
 from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.store import MOST_OPAQUE, store_groups
-from nanogs.method.visibility import LUMA
 from nanogs.metrics import ssim
 from nanogs.pipeline.one_block import OneBlock, whole_settings
 from nanogs.pipeline.options.presets import PRESETS

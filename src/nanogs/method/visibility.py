@@ -2,14 +2,10 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from nanogs._types import F64, Bool
 from nanogs.views.light import SHOWN, SplatContributions
 
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601; grey takes a third of the work
 NEW = 0.01  # share of light seen by only one view, above which the views are taken as incomplete
-DECIDING = 6  # one view in six is held out, to choose a candidate and to accept a fit
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,8 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, I32, U8
 from nanogs.fit.targets import Target
-from nanogs.method.choose import GROWTH_MARGIN, further_growths, quality
+from nanogs.method.choose import GROWTH_MARGIN, LUMA, further_growths, quality
 from nanogs.method.store import Groups
-from nanogs.method.visibility import LUMA
 from nanogs.metrics import ssim
 from nanogs.pipeline.scene import SUMS, Block, Members, Scene, Task
 from nanogs.raster.rendering import PreparedSplats, clipped, concatenated, prepare, render

@@ -12,7 +12,7 @@ from nanogs.fit.views import choose_cameras
 from nanogs.formatting import counted
 from nanogs.kernels.blocks import TILE
 from nanogs.kernels.project import HIDDEN, unpack_box
-from nanogs.method.visibility import DECIDING
+from nanogs.method.choose import DECIDING
 from nanogs.pipeline.options.cameras import fit_cameras
 from nanogs.pipeline.options.views import camera_of, plain_camera
 from nanogs.raster.camera import Camera, camera_notes, pick_evenly
