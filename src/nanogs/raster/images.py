@@ -5,6 +5,8 @@ import numpy as np
 from nanogs._types import F32, U8, Array
 from nanogs.raster.rendering import Rendering, clipped
 
+LARGEST_WEBP = 16_383  # pixels along a side of a WebP picture
+
 
 def color_image(rendering: Rendering, transparent: bool) -> Array:
     """Return the (H, W, 3 or 4) uint8 image of a rendering: RGB, or RGBA with straight alpha.

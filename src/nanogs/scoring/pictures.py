@@ -6,10 +6,9 @@ import io
 import numpy as np
 
 from nanogs._types import F32
-from nanogs.raster.images import to_bytes
+from nanogs.raster.images import LARGEST_WEBP, to_bytes
 
 _QUALITY = 85
-_WEBP_SIDE = 16_383  # longest side of a WebP picture, pixels
 ERROR_FULL_SCALE = 0.25  # mean absolute difference shown in the map's brightest colour
 # Every 15th colour of "inferno", by Nathaniel Smith and Stéfan van der Walt (CC0).
 _INFERNO = (
@@ -34,6 +33,6 @@ def data_uri(image: F32) -> str:
     """Encode the image as a `data:` URL, for self-contained pages: WebP, or JPEG if too large."""
     from PIL import Image
 
-    buffer, kind = io.BytesIO(), "webp" if max(image.shape) <= _WEBP_SIDE else "jpeg"
+    buffer, kind = io.BytesIO(), "webp" if max(image.shape) <= LARGEST_WEBP else "jpeg"
     Image.fromarray(to_bytes(image)).save(buffer, format=kind, quality=_QUALITY)
     return f"data:image/{kind};base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -13,10 +13,10 @@ from nanogs.io.atomic import atomic_write, check_writable
 from nanogs.io.folder import atomic_folder
 from nanogs.io.registry import PICTURES
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import BLACK
+from nanogs.protocol import BLACK, Background
 from nanogs.ranges import one_or_several
 from nanogs.raster.camera import Camera, camera_notes
-from nanogs.raster.images import color_image, depth_image
+from nanogs.raster.images import LARGEST_WEBP, color_image, depth_image
 from nanogs.raster.rendering import Rendering
 from nanogs.source import Source
 from nanogs.splats import Splats
@@ -25,7 +25,6 @@ from nanogs.views.streamed import drawable, renderings
 
 _PHOTO = re.compile(f"({'|'.join(map(re.escape, PICTURES))})$", re.IGNORECASE)
 _QUALITY = 92  # of JPEG and WebP files, of 100; PNG has none
-_LARGEST_WEBP = 16383  # pixels along a side
 
 
 def render_images(
@@ -33,7 +32,7 @@ def render_images(
     cameras: Camera | Sequence[Camera],
     target: str | PathLike[str],
     *,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    background: Background = BLACK,
     transparent: bool = False,
     depth: bool = False,
     overwrite: bool = False,
@@ -123,9 +122,9 @@ def _refuse_unstorable(suffix: str, target: Path, camera: Camera, *, transparent
     png = target.with_suffix(".png")
     if transparent and kind == "JPEG":
         raise OptionError(f"{target}: JPEG has no alpha; name {png} or {png.with_suffix('.webp')}.")
-    if kind == "WEBP" and max(camera.width, camera.height) > _LARGEST_WEBP:
+    if kind == "WEBP" and max(camera.width, camera.height) > LARGEST_WEBP:
         raise OptionError(
-            f"{target}: WebP holds at most {_LARGEST_WEBP} pixels along a side; name {png}."
+            f"{target}: WebP holds at most {LARGEST_WEBP} pixels along a side; name {png}."
         )
 
 
