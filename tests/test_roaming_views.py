@@ -153,7 +153,7 @@ def test_light_by_depth_is_that_of_the_splats_in_each_range():
 
 def test_targets_are_drawn_from_the_light_of_all_cameras_found_so_far():
     splats = concatenate([cloud(np.zeros((1, 3)), 0.1), cloud(np.full((1, 3), 0.2), 0.1)])
-    scene = roam.Scene(prepare(splats), np.zeros(3), 1.0, np.eye(3), np.ones(2, bool))
+    scene = roam.SearchedModel(prepare(splats), np.zeros(3), 1.0, np.eye(3), np.ones(2, bool))
     lens = roam._test_camera(1, 64, 64, 60)
     known = roam.SearchState(np.array([1.0, 0.0]), FreeSpace(scene.splats), [])
     candidates = roam._candidates(scene, known, lens, "fit", 50)

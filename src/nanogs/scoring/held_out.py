@@ -27,7 +27,7 @@ from nanogs.views.cameras import cameras_for
 from nanogs.views.plan import room_for_measuring
 from nanogs.views.streamed import Streamed, drawable, renderings
 
-ROAMING = 16  # number of roaming views in `selection_views`
+SELECTION_ROAMING = 16  # number of roaming views in `selection_views`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +144,7 @@ def selection_views(
         return SelectionViews((_shown(original, usual, ignore_progress, max_memory),))
     pixels = PIXELS // 2
     kinds = []
-    for protocol in (usual, Protocol(ROAMING, (pixels, pixels), "roam", "train")):
+    for protocol in (usual, Protocol(SELECTION_ROAMING, (pixels, pixels), "roam", "train")):
         with suppress(ModelError):  # such views show nothing
             kinds.append(_shown(original, protocol, ignore_progress, max_memory))
     return SelectionViews(tuple(kinds))

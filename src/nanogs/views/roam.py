@@ -47,7 +47,7 @@ NEAR = 0.02  # near plane over the distance of the target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class SearchedModel:
     """The model and its extent, for the search.
 
     Attributes:
@@ -163,7 +163,7 @@ def _test_camera(count: int, width: int, height: int, fov: float) -> Camera:
     )
 
 
-def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
+def _scene(splats: Splats, up: Sequence[float] | None) -> SearchedModel:
     """Measure the model's frame, centre and radius."""
     found = survey(splats, "orbit", up, habit=False)
     rows, turn = found.core.rows, found.turn[:3, :3]  # without skies and strays
@@ -175,10 +175,12 @@ def _scene(splats: Splats, up: Sequence[float] | None) -> Scene:
     with np.errstate(invalid="ignore"):
         distances = np.linalg.norm(splats.means.astype(np.float64) - centre, axis=1)
         reachable = distances <= (AWAY + FARTHEST) * radius
-    return Scene(prepare(splats), centre, radius, turn, reachable)
+    return SearchedModel(prepare(splats), centre, radius, turn, reachable)
 
 
-def _begin(scene: Scene, splats: Splats, up: Sequence[float] | None, split: str) -> SearchState:
+def _begin(
+    scene: SearchedModel, splats: Splats, up: Sequence[float] | None, split: str
+) -> SearchState:
     """Start the search with automatic views, whose positions are known to be free."""
     known = SearchState(np.zeros(len(splats)), FreeSpace(scene.splats), [])
     automatic = automatic_cameras(
@@ -199,7 +201,7 @@ def _add(known: SearchState, place: F64, contributions: F64) -> None:
 
 
 def _candidates(
-    scene: Scene, known: SearchState, test_camera: Camera, split: str, tries: int
+    scene: SearchedModel, known: SearchState, test_camera: Camera, split: str, tries: int
 ) -> Iterator[Candidate]:
     """Draw candidates: targets, directions and distances; `known` may grow during the iteration."""
     random = np.random.default_rng(zlib.crc32(split.encode()))
@@ -226,7 +228,7 @@ def _direction(height: float, turn: float) -> F64:
     return np.array([level * np.cos(angle), level * np.sin(angle), z])
 
 
-def _add_if_accepted(scene: Scene, known: SearchState, candidate: Candidate) -> None:
+def _add_if_accepted(scene: SearchedModel, known: SearchState, candidate: Candidate) -> None:
     """Test a candidate, and add its camera to the state if it passes."""
     contributions, camera = _shown(scene.splats, candidate), candidate.camera
     if contributions is not None and known.free.has(camera, candidate.target):
