@@ -64,7 +64,6 @@ ALLOWED = {
         "slices",
         "splats",
         "parallel",
-        "activations",
         "ranges",
     },
     "metrics": {"_types", "errors", "kernels"},
