@@ -1,4 +1,7 @@
-"""Validating fields of JSON files. `where` names the file and the field in error messages."""
+"""Validation of values from models' JSON files; `where` names file and field in error messages.
+
+Camera files have `datasets.fields`: there, messages show the value and say to export the cameras.
+"""
 
 import json
 import math

@@ -72,15 +72,15 @@ def _always(*_: object) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class JobStage:
-    """A stage of a job.
+    """A stage of a simplification, in blocks or of a model in memory.
 
     Attributes:
         name: In progress, clock and tables.
-        per: Whether there is one task for the job, or one for each packed file, segment or block.
+        per: Whether there is one task in all, or one for each packed file, segment or block.
         do: Does one task.
         seconds: Seconds on one machine: for a million splats of the scene, or computed from the
             load.
-        wanted: Whether a job has the stage, from its settings, or its load if it is held.
+        wanted: Whether a job with these settings has the stage; for estimates, takes its load.
         levels: Number of levels that it is done for; None for each result.
         needed: Whether there is anything to do for a level, once the stages before it are done.
         held: Whether a model in memory has the stage, too.
