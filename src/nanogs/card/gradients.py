@@ -26,7 +26,6 @@ from nanogs.card.shading import (
 )
 from nanogs.kernels import gradients
 
-SUMS = wp.constant(gradients.SUMS)
 _SATURATED = wp.constant(wp.float32(gradients.SATURATED))
 Sums = wp.types.vector(gradients.SUMS, wp.float32)
 SCALES = wp.constant(Sums(*gradients.SCALES.tolist()))

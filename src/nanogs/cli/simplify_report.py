@@ -26,7 +26,7 @@ def warn_of_input(notes: Iterable[str], dropped: int) -> None:
 def print_report(run: Run, *, verbose: bool) -> None:
     """Print the result in one line on stderr; with `verbose`, also the whole report."""
     report: SimplifyReport = run.report
-    report_filters(run.report.filters)
+    report_filters(report.filters)
     warn_of_input(report.notes, report.dropped_nonfinite)
     if report.prune_limited:
         warn(
@@ -34,7 +34,7 @@ def print_report(run: Run, *, verbose: bool) -> None:
             " kept."
         )
     if verbose:
-        counts = {"input": run.report.read_count, "output": report.achieved_count}
+        counts = {"input": report.read_count, "output": report.achieved_count}
         show_report(
             as_tried(report), {end: _file_text(run, end, count) for end, count in counts.items()}
         )
