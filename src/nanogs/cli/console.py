@@ -14,7 +14,7 @@ from rich.segment import Segments
 from rich.table import Table
 from rich.text import Text
 
-from nanogs.cli.wording import with_options
+from nanogs.cli.wording import reworded
 from nanogs.formatting import plain
 
 _WIDE = 1000  # width in columns if the output is a pipe, so that lines are not wrapped
@@ -51,7 +51,7 @@ def notes_about(name: str) -> Iterator[None]:
 
 def warn(message: str) -> None:
     """Print a note on stderr, with options of the command in place of Python arguments."""
-    name, message = _subject.get(), with_options(message)
+    name, message = _subject.get(), reworded(message)
     err.print("[yellow]note:[/]", end=" ")
     err.print(f"{name}: {message}" if name else message, markup=False, soft_wrap=True)
 

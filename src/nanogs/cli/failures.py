@@ -4,7 +4,7 @@ import re
 import traceback
 from pathlib import Path
 
-from nanogs.cli.wording import with_options
+from nanogs.cli.wording import reworded
 
 _REMEDY = (
     "free some, raise its limit (`ulimit`, the container), or let simplify and lod work in less"
@@ -23,7 +23,7 @@ def sentence_of(error: Exception) -> str | None:
         One sentence, followed by the notes that the library added to the error.
     """
     said = _reason(error)
-    notes = map(with_options, getattr(error, "__notes__", ()))
+    notes = map(reworded, getattr(error, "__notes__", ()))
     return said and " ".join([said, *notes])
 
 

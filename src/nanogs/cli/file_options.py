@@ -44,7 +44,7 @@ Paths = Annotated[
     list[Path],
     typer.Argument(
         metavar="IN... OUT",
-        parser=parsing.parse_place,
+        parser=parsing.parse_path,
         help="Model to read and file to write: paths, URLs (https://, s3://), or - for stdin and"
         " stdout. With --out-dir all are inputs: models, folders of models or patterns.",
     ),

@@ -32,7 +32,7 @@ def info(
         Path,
         typer.Argument(
             metavar="IN",
-            parser=parsing.parse_place,
+            parser=parsing.parse_path,
             help="Model to read: a file, its folder, its URL (https://, s3://), or - for stdin.",
         ),
     ],

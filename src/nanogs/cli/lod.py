@@ -29,7 +29,7 @@ def lod(
         list[Path],
         typer.Argument(
             metavar="IN OUT",
-            parser=parsing.parse_place,
+            parser=parsing.parse_path,
             help="Model to read, a file, its URL or - for stdin, and what to write: a folder, for"
             " one file per level; lod-meta.json (streamed SOG) or tileset.json (3D Tiles) in a"
             " folder; or one file, .ssog (streamed SOG) or .rad (a tree, for Spark). With --join"

@@ -223,7 +223,7 @@ def parse_background(text: str) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def parse_place(text: str | Path) -> Path:
+def parse_path(text: str | Path) -> Path:
     """Parse a path or URL; a URL is an `Address`, because `Path` would merge its slashes."""
     from nanogs.io.urls import as_path
 
@@ -262,7 +262,7 @@ def parse_output(text: str | Path) -> Path:
 def _no_dash(text: str | Path, instead: str) -> Path:
     if str(text) == "-":
         raise OptionError(f"This command {instead}.")
-    return parse_place(text)
+    return parse_path(text)
 
 
 def parse_page(text: str | Path) -> Path:

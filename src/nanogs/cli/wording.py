@@ -15,10 +15,10 @@ def wording(error: NanogsError) -> str:
     """Return an error's message with options instead of arguments."""
     if isinstance(error, RangeError):
         return error.for_command
-    return with_options(error.sentence("add -w") if isinstance(error, ExistsError) else str(error))
+    return reworded(error.sentence("add -w") if isinstance(error, ExistsError) else str(error))
 
 
-def with_options(text: str) -> str:
+def reworded(text: str) -> str:
     """Replace Python arguments in a message of the library by options of the command."""
     return _ARGUMENT.sub(_option, text)
 
