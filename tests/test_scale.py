@@ -36,7 +36,7 @@ from nanogs.pipeline.job.folder import (
     write_manifest,
 )
 from nanogs.pipeline.options.settings import (
-    MOST_SEEN,
+    MOST_HALO,
     Access,
     FilterCounts,
     InputFile,
@@ -426,7 +426,7 @@ def test_the_halo_has_the_nearest_groups_of_other_blocks(tmp_path):
     assert 20 < len(every) < 180
     wanted = {(block, group) for _, block, group in sorted(near)[:15]}
     splats = sum((by_row[block] == group).sum() for block, group in wanted)
-    halo = find_halo(scratch, cuts, 1, int(splats / MOST_SEEN))
+    halo = find_halo(scratch, cuts, 1, int(splats / MOST_HALO))
     assert [each.block for each in halo] == [0, 2]
     assert {(each.block, group) for each in halo for group in each.groups} == wanted
     for each in halo:

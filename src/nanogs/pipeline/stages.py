@@ -42,7 +42,7 @@ from nanogs.pipeline.tasks.linked import linked_levels, write_tree
 from nanogs.pipeline.tasks.look import look_at_block
 from nanogs.pipeline.tasks.partition import partition
 from nanogs.pipeline.tasks.parts import write_rest
-from nanogs.pipeline.tasks.sorted_segments import spill
+from nanogs.pipeline.tasks.sorted_segments import write_segment
 from nanogs.pipeline.tasks.trials import (
     choose,
     correction_is_promising,
@@ -354,7 +354,7 @@ STAGES = {
     for stage in (
         JobStage("unpack", "file", _unpack, 1.0, wanted=_unpacks),
         JobStage("units", "job", _units, 0.3, held=True, here=True),
-        JobStage("segment", "segment", spill, 0.5),
+        JobStage("segment", "segment", write_segment, 0.5),
         JobStage("partition", "job", _partition, 0.05),
         JobStage("rough", "block", _rough, 3.0, wanted=_looks, needed=_divided),
         JobStage("outline", "job", _outline, 0.02, wanted=_looks),

@@ -19,7 +19,7 @@ from nanogs.pipeline.estimates.memory_forest import (
     fit_state,
 )
 from nanogs.pipeline.options.presets import renders
-from nanogs.pipeline.options.settings import FINE, MOST_SEEN, ROUGH, most_coarse
+from nanogs.pipeline.options.settings import FINE, MOST_HALO, ROUGH, most_coarse
 from nanogs.source import Layout
 from nanogs.store.columns import row_bytes
 
@@ -47,7 +47,7 @@ def block_stages(
     extra = row - splat_bytes(degree)
     plain = replace(parameters, guided=False, steps=0)
     grown = plan_memory(block, degree, extra, plain, kept).peak + _CODES * block
-    grown = int(grown * (1 + MOST_SEEN if parameters.rounds else 1))
+    grown = int(grown * (1 + MOST_HALO if parameters.rounds else 1))
     if not renders(parameters):
         return {"grow": grown}
     fine, rough = (most_coarse(level, block, splats) for level in (FINE, ROUGH))

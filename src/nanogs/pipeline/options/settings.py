@@ -18,7 +18,7 @@ from nanogs.pipeline.options.views import AUTOMATIC, RequestedViews
 from nanogs.source import Layout
 
 # Most splats of a block's halo, as a share of its own, to bound memory; the nearest are kept.
-MOST_SEEN = 0.1
+MOST_HALO = 0.1
 FINE, ROUGH = 0, 1  # indices of the coarse levels of the scene
 # Limits on the splats of each coarse level: a share of the scene's splats, and a number for each
 # splat of a block, which fits into memory because they are only rendered. `COARSE_LEAST` splats are

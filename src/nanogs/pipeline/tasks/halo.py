@@ -7,7 +7,7 @@ import numpy as np
 
 from nanogs._types import F64, I32, I64
 from nanogs.neighbours import nearest_to
-from nanogs.pipeline.options.settings import MOST_SEEN
+from nanogs.pipeline.options.settings import MOST_HALO
 from nanogs.pipeline.tasks.cuts import CENTRES, LABELS, REACH
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import Record, Table, read_column
@@ -52,7 +52,7 @@ class Near:
 
 
 def find_halo(scratch: Scratch, cuts: Sequence[Record], block: int, splats: int) -> list[Halo]:
-    """Find the nearest groups of all other blocks, with at most `MOST_SEEN * splats` splats.
+    """Find the nearest groups of all other blocks, with at most `MOST_HALO * splats` splats.
 
     Args:
         scratch: Storage of the cuts.
@@ -64,7 +64,7 @@ def find_halo(scratch: Scratch, cuts: Sequence[Record], block: int, splats: int)
         One halo for each other block that has any such groups, in the order of the blocks.
     """
     found = near_groups(scratch, cuts, block)
-    kept = _nearest(found, _sizes(scratch, cuts, found), int(MOST_SEEN * splats))
+    kept = _nearest(found, _sizes(scratch, cuts, found), int(MOST_HALO * splats))
     return [_members(scratch, cuts, each) for each in kept]
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 DIGEST = "digest"
 
 
-def spill(work: "Work", task: "Task") -> Record:
+def write_segment(work: "Work", task: "Task") -> Record:
     """Sort a segment by Morton code and write it, with a digest: evenly spread codes of it.
 
     Raises:
