@@ -112,23 +112,12 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         verbose: Also print each level's report.
     """
     manifest, files = run.report, run.files
-    levels, reports = manifest.levels, files["reports"]
+    reports = files["reports"]
     report_filters(files["filters"])
     warn_of_input(manifest.notes, files["dropped_nonfinite"])
-    table = Table("level", box=None, pad_edge=False)
-    drawn = any(level.draws is not None for level in levels)
-    switched = any(map(_switch, levels))
-    more = ["draws"] * drawn + ["from", "there"] * switched
-    for heading in ("asked", "splats", "file", "PSNR", "SSIM", *more, "seconds"):
-        table.add_column(heading, justify="right")
-    for number, (level, report) in enumerate(zip(levels, reports, strict=True)):
-        draws = [NONE if level.draws is None else f"{level.draws:.1%}"] * drawn
-        there = _switch_cells(_switch(level)) if switched else ()
-        first = _heading(number, level, files["layout"])
-        # In blocks, all levels are made together.
-        seconds = NONE if report.blocks else f"{report.total_seconds:.2f}"
-        table.add_row(first, *_cells(level), *draws, *there, seconds)
-    show(err, table)
+    drawn = any(level.draws is not None for level in manifest.levels)
+    switched = any(map(_switch, manifest.levels))
+    show(err, _table(run, drawn=drawn, switched=switched))
     if manifest.protocol:
         text = f"PSNR in dB; means over {manifest.protocol.text}"
         text += "; draws: splats a pixel, as a share of the original's" * drawn
@@ -143,7 +132,36 @@ def print_levels(run: Run, *, verbose: bool) -> None:
         err.print(f"level {number}")
         known = number and report.passes == reports[0].passes  # those of the one forest
         show_report(as_tried(replace(report, passes=()) if known else report))
-    sky = manifest.environment
+    _say_totals(run)
+
+
+def _table(run: Run, *, drawn: bool, switched: bool) -> Table:
+    """Return the table of the levels.
+
+    Args:
+        run: As for `print_levels`.
+        drawn: Whether draw costs were measured.
+        switched: Whether quality was measured where viewers switch levels.
+    """
+    table = Table("level", box=None, pad_edge=False)
+    more = ["draws"] * drawn + ["from", "there"] * switched
+    for heading in ("asked", "splats", "file", "PSNR", "SSIM", *more, "seconds"):
+        table.add_column(heading, justify="right")
+    pairs = zip(run.report.levels, run.files["reports"], strict=True)
+    for number, (level, report) in enumerate(pairs):
+        draws = [NONE if level.draws is None else f"{level.draws:.1%}"] * drawn
+        there = _switch_cells(_switch(level)) if switched else ()
+        first = _heading(number, level, run.files["layout"])
+        # In blocks, all levels are made together.
+        seconds = NONE if report.blocks else f"{report.total_seconds:.2f}"
+        table.add_row(first, *_cells(level), *draws, *there, seconds)
+    return table
+
+
+def _say_totals(run: Run) -> None:
+    """Print what all levels take together, and what a viewer needs for its first picture."""
+    manifest, files = run.report, run.files
+    levels, sky = manifest.levels, manifest.environment
     if sky:
         text = _environment(sky.count, sky.source)
         say(f"{text}, {bytes_text(sky.bytes)}, drawn with every level")
