@@ -26,13 +26,13 @@ from nanogs.kernels.listing import list_tiles
 from nanogs.kernels.raster import blend_tiles
 from nanogs.method import cut, graph, match, nodes, order
 from nanogs.method.activation import scene_origin
-from nanogs.method.extent import estimate_dilation
 from nanogs.method.forest import grow_forest
 from nanogs.method.paper import cost, gaussians, merge
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import store_groups
+from nanogs.method.viewers import estimate_dilation
 from nanogs.metrics import ssim
 from nanogs.raster import rendering
 from nanogs.views.automatic import automatic_cameras

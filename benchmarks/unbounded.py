@@ -18,7 +18,7 @@ import numpy as np
 from nanogs import compare, load, save, simplify
 from nanogs._types import F32, F64
 from nanogs.activations import SH_C0, quaternions, rotations
-from nanogs.method import extent
+from nanogs.method import viewers
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats, concatenate
 from nanogs.views import inside
@@ -286,12 +286,12 @@ def main() -> None:
     options = parser.parse_args()
     install()  # splat-transform, which converts scenes to .ply
     bench = Bench(REAL_SCENES, REAL_SCENES.parent / "peers", options.folder)
-    known = extent.APART
+    known = viewers.APART
     for name in options.scenes.split(","):
         model, (cameras, others) = load(bench.model(name)), near_views(name, bench.model)
         for ratio in (0.1, 0.01):
             results = {preset: simplify(model, ratio=ratio, preset=preset)[0] for preset in PRESETS}
-            for label, extent.APART in (("cameras, all alike", 1e9), ("cameras", known)):
+            for label, viewers.APART in (("cameras, all alike", 1e9), ("cameras", known)):
                 results[label] = simplify(model, ratio=ratio, cameras=cameras)[0]
             found = compare(model, *results.values(), cameras=others)
             texts = [f"{a} {b.psnr:.2f} dB" for a, b in zip(results, found.models, strict=True)]

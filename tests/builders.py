@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from nanogs.method.extent import Dilation
 from nanogs.method.paper.gaussians import Gaussians
+from nanogs.method.viewers import Dilation
 from nanogs.splats import Splats
 
 

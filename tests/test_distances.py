@@ -13,7 +13,11 @@ import nanogs
 import reference_kernels as reference
 from builders import random_splats, same_pixel
 from nanogs.datasets.synthetic import make_scene
-from nanogs.method.extent import (
+from nanogs.method.growth import area_needs, blocked, effective_counts, widened
+from nanogs.method.integrals import exponential_integral
+from nanogs.method.nodes import NEARER, activate_nodes, footprints, gather
+from nanogs.method.store import store_groups
+from nanogs.method.viewers import (
     ANCHORS,
     APART,
     FARTHEST,
@@ -23,10 +27,6 @@ from nanogs.method.extent import (
     estimate_dilation,
     viewers_at,
 )
-from nanogs.method.growth import area_needs, blocked, effective_counts, widened
-from nanogs.method.integrals import exponential_integral
-from nanogs.method.nodes import NEARER, activate_nodes, footprints, gather
-from nanogs.method.store import store_groups
 from nanogs.metrics import psnr
 from nanogs.raster.camera import Camera
 from nanogs.raster.rendering import prepare, render

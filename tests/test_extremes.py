@@ -14,7 +14,7 @@ from nanogs.errors import OutputError
 from nanogs.io.precision import Precision
 from nanogs.lod import tiles
 from nanogs.method.activation import scene_origin
-from nanogs.method.extent import estimate_dilation
+from nanogs.method.viewers import estimate_dilation
 from nanogs.neighbours import nearest_neighbours
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.raster.images import color_image

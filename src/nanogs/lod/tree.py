@@ -22,7 +22,6 @@ from nanogs.block_layouts import TOGETHER
 from nanogs.errors import ManyChildrenError
 from nanogs.io.in_order import in_order
 from nanogs.lod.links import Shapes, parents_of, shapes_of
-from nanogs.method.extent import Dilation, estimate_dilation
 from nanogs.method.growth import effective_counts
 from nanogs.method.nodes import (
     LIGHTEST,
@@ -35,6 +34,7 @@ from nanogs.method.nodes import (
 )
 from nanogs.method.order import morton_codes, morton_order
 from nanogs.method.store import store_groups
+from nanogs.method.viewers import Dilation, estimate_dilation
 from nanogs.source import InMemory, Joined, Source
 from nanogs.splats import Splats, concatenate
 

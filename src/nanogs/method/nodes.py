@@ -16,7 +16,7 @@ from nanogs.averages import cap, capped_mean
 from nanogs.kernels.grouping import group_members
 from nanogs.kernels.nodes import covariances_of, gather_moments, heaviest_members
 from nanogs.method.activation import activated
-from nanogs.method.extent import Dilation, Viewers
+from nanogs.method.viewers import Dilation, Viewers
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import Splats, pick
 

@@ -11,7 +11,6 @@ from nanogs.activations import LEAST_ALPHA, LEAST_SCALE
 from nanogs.kernels.nodes import principal_axes
 from nanogs.kernels.symmetric3 import MOST_DEVIATION
 from nanogs.method.directional import fit_colours
-from nanogs.method.extent import Dilation
 from nanogs.method.growth import (
     MOST_GROWTH,
     Cover,
@@ -29,6 +28,7 @@ from nanogs.method.nodes import (
     member_lists,
     stored_order,
 )
+from nanogs.method.viewers import Dilation
 from nanogs.slices import slices
 from nanogs.splats import Splats, pick
 

@@ -17,13 +17,13 @@ from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method.activation import scene_origin
 from nanogs.method.correct import Correction, Ordering
 from nanogs.method.cut import cut, label_groups, merge_scores
-from nanogs.method.extent import Dilation, Viewers, estimate_dilation
 from nanogs.method.forest import Forest, grow_forest
 from nanogs.method.nodes import Nodes, activate_nodes, normalised, prominence, without_coverages
 from nanogs.method.order import morton_order
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import reassign
 from nanogs.method.store import Groups, store_groups
+from nanogs.method.viewers import Dilation, Viewers, estimate_dilation
 from nanogs.method.visibility import MissedLight, shown_share
 from nanogs.pipeline.options.settings import Access, InputFile, Segment, Settings
 from nanogs.pipeline.options.views import AUTOMATIC

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from nanogs._types import F64, I32, I64, Array
-from nanogs.method.extent import Dilation
 from nanogs.method.growth import Cover
 from nanogs.method.nodes import Nodes, without_features
 from nanogs.method.reassign import reassign
 from nanogs.method.store import cover_of
+from nanogs.method.viewers import Dilation
 from nanogs.pipeline.scene import ROUNDS
 from nanogs.pipeline.tasks.cuts import LABELS
 from nanogs.pipeline.tasks.halo import Halo

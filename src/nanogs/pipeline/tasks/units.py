@@ -9,7 +9,6 @@ import numpy as np
 from nanogs._types import F64, U64
 from nanogs.errors import NONE_USABLE, ModelError
 from nanogs.method.activation import scene_origin
-from nanogs.method.extent import MOST_VIEWERS, Dilation, Viewers, estimate_dilation, viewers_at
 from nanogs.method.nodes import (
     activate_nodes,
     immense_weight,
@@ -18,6 +17,7 @@ from nanogs.method.nodes import (
     typical_weight,
 )
 from nanogs.method.order import code_box, codes_in
+from nanogs.method.viewers import MOST_VIEWERS, Dilation, Viewers, estimate_dilation, viewers_at
 from nanogs.pipeline.job.rows import sample
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.tasks.unpack import Unpacked
