@@ -27,7 +27,7 @@ from nanogs.splats import Splats
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """The units in which the blocks of a scene are comparable.
+    """What all blocks of a scene measure by, so that positions and errors of any two compare.
 
     Attributes:
         origin: Subtracted from the centres, scene units.
