@@ -235,3 +235,51 @@ def directional_colours(weights, covariances, features, colour, directions, basi
         gradient = basis[:, :fitted].T @ residual * 4 * math.pi / len(directions)
         colour[:fitted] += step * gradient
     return colour
+
+
+def rotation_between(quat, other):
+    """The vector of the rotation from one unit quaternion to another one near it."""
+    (w, x, y, z), (a, b, c, d) = quat, other
+    matrix = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
+    return 2 * (matrix @ [a, b, c, d])[1:]
+
+
+def cheapest_level(value, curvature, levels, lengths, price, most):
+    """The level of least cost, of those that change the value by at most that, or the nearest."""
+    changes = np.asarray(levels) - value
+    costs = curvature * changes**2 + price * np.asarray(lengths)
+    allowed = np.abs(changes) <= most
+    allowed[np.abs(changes).argmin()] = True
+    return int(np.where(allowed, costs, np.inf).argmin())
+
+
+def cheapest_rotation(quat, curvatures, levels, lengths, price, most, codes):
+    """The codes of x, y and z of least cost, found one after the other, twice."""
+    codes = list(codes)
+
+    def error(tried):
+        x, y, z = (levels[code] for code in tried)
+        square = 1 - x * x - y * y - z * z
+        if square < (max(abs(x), abs(y), abs(z)) + 1e-3) ** 2:
+            return np.inf
+        turn = rotation_between(quat, [math.sqrt(square), x, y, z])
+        return np.inf if turn @ turn > most**2 else curvatures @ turn**2
+
+    def reached(k, way):
+        """The codes up to the first that is not allowed."""
+        found = []
+        code = codes[k] + way
+        while 0 <= code < len(levels) and error([*codes[:k], code, *codes[k + 1 :]]) < np.inf:
+            found.append(code)
+            code += way
+        return found
+
+    for _ in range(2):
+        for k in range(3):
+            tried = [codes[k], *reached(k, -1), *reached(k, 1)]
+            costs = [
+                error([*codes[:k], code, *codes[k + 1 :]]) + price * lengths[k][code]
+                for code in tried
+            ]
+            codes[k] = tried[int(np.argmin(costs))]
+    return codes

@@ -49,6 +49,11 @@ def check_steps(small, views, parameters=QUICK, shared=None):
             on_card = card_descent.step(1.0, share)
             with use_device("cpu"):
                 assert on_card == pytest.approx(cpu_descent.step(1.0, share), rel=1e-4)
+        found, expected = card_descent.curvatures(), cpu_descent.curvatures()
+    for each in dataclasses.fields(expected):
+        values = getattr(expected, each.name)
+        least = 1e-3 * float(values.max())
+        assert getattr(found, each.name) == pytest.approx(values, rel=0.01, abs=least)
     on_card, on_cpu = card_descent.state, cpu_descent.state
     assert (on_card.touched == on_cpu.touched).all()
     assert on_cpu.touched.any()

@@ -572,6 +572,9 @@ class Steps:
         self.begun.append(state.copy())
         self.state = state.copy()
 
+    def curvatures(self):
+        return len(self.taken)
+
     def release(self):
         pass
 
@@ -601,7 +604,8 @@ def rounds_with(monkeypatch, kept, **parameters):
     monkeypatch.setattr(rounds, "AVERAGED", 0.0)
     monkeypatch.setattr(rounds, "Validator", Guard)
     monkeypatch.setattr(rounds, "descent_for", lambda *_given: steps)
-    best, outcome = rounds.fit(small, Fitting([]), [], chosen, ignore_progress)
+    best, curvatures, outcome = rounds.fit(small, Fitting([]), [], chosen, ignore_progress)
+    assert curvatures == len(steps.taken)
     return steps, best, outcome
 
 
@@ -764,7 +768,7 @@ def test_the_model_with_a_palette_is_validated_as_it_is_delivered():
     prepared = prepare(original).with_buffers()
     part = make_target(prepared, cameras[0].cropped(0, 0, 32, 32))
     deciding = [ViewGroup("all", tuple(make_target(prepared, camera) for camera in cameras[1:]))]
-    fitted, outcome = fit_shared(small, 3, Fitting((part,)), deciding, QUICK, ignore_progress)
+    fitted, _, outcome = fit_shared(small, 3, Fitting((part,)), deciding, QUICK, ignore_progress)
     assert outcome.improved
     assert outcome.psnr_after == deciding[0].psnr(prepare(fitted))
     assert len(np.unique(fitted.sh[:, 1:].reshape(len(fitted), -1), axis=0)) == 3

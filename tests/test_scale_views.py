@@ -94,7 +94,8 @@ def test_the_fit_of_blocks_reports_why_it_stopped_and_what_it_noted(
             return fitted, report
         notes = ("Nothing improved.",)
         stop = RefitStop.OPTIMUM
-        return given[0], dataclasses.replace(report, stop=stop, improved=False, notes=notes)
+        same = fitted._replace(splats=given[0])
+        return same, dataclasses.replace(report, stop=stop, improved=False, notes=notes)
 
     monkeypatch.setattr(fitting, "fit_to_views", fit_to_views)
     report = nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.2, **BLOCKS)
@@ -331,7 +332,8 @@ def fit_among(small, original, around, cameras):
     targets = [make_target(whole, camera, depth=False) for camera in cameras]
     views = Fitting(targets[1:], surroundings=around)
     chosen = RefitParameters(rounds=1, steps=6)
-    return fit(small, views, [ViewGroup("views", tuple(targets[:1]))], chosen, ignore_progress)
+    fitted = fit(small, views, [ViewGroup("views", tuple(targets[:1]))], chosen, ignore_progress)
+    return fitted.splats, fitted.outcome
 
 
 def test_surroundings_are_rendered_but_not_fitted(splats):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from nanogs._types import F32, F64, Bool
+from nanogs._types import F32, F64, I32, Bool
 from nanogs.card.advancing import FittedSplats, StepConstants, advance_splats, average
 from nanogs.card.engine import DeviceSplats
 from nanogs.kernels.advance import MOST_DETERMINED
@@ -135,6 +135,16 @@ class FittedModel:
         """Copy the (N,) last column of the displacements from the device."""
         found: F32 = self._moving.displacements.numpy()[: self._count, MOST_DETERMINED]
         return found
+
+    def accumulated(self) -> tuple[I32, F32, F32]:
+        """Copy what steps have found of each splat from the device.
+
+        Returns:
+            (N,) in how many views it was seen, (N, PACKED) mean curvatures of its shape, and (N,)
+            of its colour.
+        """
+        moving = self._moving
+        return moving.seen.numpy(), moving.hessians.numpy(), moving.weights.numpy()
 
     def coefficients(self) -> F32:
         """Copy the splats' spherical-harmonic coefficients, (N, K, 3), from the device."""

@@ -24,6 +24,7 @@ from nanogs.splats import Splats
 
 if TYPE_CHECKING:
     from nanogs.fit.groups import ViewGroup
+    from nanogs.fit.rounds import Fitted
     from nanogs.fit.targets import Fitting
     from nanogs.raster.camera import Camera
 
@@ -115,7 +116,7 @@ def refit(
             given, fitting, deciding, chosen, len(large), threads_used, tracker.part, entries
         )
         tracker.finish()
-    return fitted, replace(
+    return fitted.splats, replace(
         report,
         seconds=clock.seconds | report.seconds,
         total_seconds=time.perf_counter() - begin,
@@ -127,7 +128,7 @@ def refit(
             *frame_notes(cameras or (), large),
             *unseen,
             *report.notes,
-            *known.without_effect(options, fitted.sh_degree),
+            *known.without_effect(options, given.sh_degree),
             *device_notes(device, used),
         ),
     )
@@ -142,7 +143,7 @@ def fit_to_views(
     threads: int,
     on_progress: PartProgress,
     entries: int | None = None,
-) -> tuple[Splats, RefitReport]:
+) -> tuple["Fitted", RefitReport]:
     """Fit a small model to given views.
 
     Args:
@@ -162,13 +163,14 @@ def fit_to_views(
     clock = StageClock()
     with clock.time("fit"):
         if entries is None:
-            fitted, outcome = fit(small, fitting, deciding, parameters, on_progress)
+            fitted = fit(small, fitting, deciding, parameters, on_progress)
         else:
-            fitted, outcome = fit_shared(small, entries, fitting, deciding, parameters, on_progress)
+            fitted = fit_shared(small, entries, fitting, deciding, parameters, on_progress)
+    outcome = fitted.outcome
     report = RefitReport(
         parameters=asdict(parameters),
         original_count=original_count,
-        count=len(fitted),
+        count=len(fitted.splats),
         fit_views=fitting.names,
         validation_views=tuple(name for group in outcome.groups for name in group.views),
         seconds=clock.seconds,

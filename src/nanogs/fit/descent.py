@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nanogs._types import F64, Bool
+from nanogs._types import F32, F64, I32, Bool
+from nanogs.activations import SH_C0
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.state import (
     HIGHEST_LOGIT,
@@ -23,9 +24,10 @@ from nanogs.fit.state import (
     start,
 )
 from nanogs.fit.targets import Fitting, Target, compute_gradients
+from nanogs.io.rate_distortion import Curvatures
 from nanogs.kernels.advance import DISPLACEMENT, MOST_DETERMINED, advance_splats
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
-from nanogs.kernels.chain import PACKED
+from nanogs.kernels.chain import CENTRE, DIAGONAL, OPACITY, PACKED, TURN
 from nanogs.kernels.damped import SIZES
 from nanogs.raster.rendering import camera_arrays, concatenated
 from nanogs.splats import RenderMode, Splats
@@ -38,6 +40,10 @@ if TYPE_CHECKING:
 LIMITS = (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.5)
 WARM_UP = 4  # steps until the full learning rate: the first curvatures come from few views
 SLOWEST = 0.3  # share of the learning rate at the end of the schedule, where states are averaged
+# Factors of the curvatures of opacities and colours beside those of shapes, which also count what
+# other views would show: the growth of the error through rounding each kind of value, measured.
+_OPACITIES, _COLOURS = np.float32(2), np.float32(3)
+TYPICAL = 2  # views, beside those of the steps, in which a splat is taken to be typical
 FITTED = ("centres", "scales", "rotations", "opacities", "colours")
 
 
@@ -106,6 +112,28 @@ class Descent:
     def mean(self) -> State:
         """Return the mean of the states that were added, one at least; see `MeanState`."""
         return self._mean.state()
+
+    def curvatures(self) -> Curvatures:
+        """Return how fast the views' mean squared error grows with changes of each splat.
+
+        The views are those of the steps, and a few more in which each splat is typical: one that
+        hardly shows in these may do so in others.
+        """
+        seen, hessians, weights = self._accumulated()
+        found = np.column_stack([hessians[:, DIAGONAL[CENTRE:]], weights])
+        typical = np.median(found[seen > 0], axis=0) if seen.any() else np.zeros(found.shape[1])
+        sums = seen[:, None] * found + TYPICAL * typical
+        mean = (sums / (self._count + TYPICAL)).astype(np.float32)
+        return Curvatures(
+            log_scales=mean[:, : TURN - CENTRE],
+            rotations=mean[:, TURN - CENTRE : OPACITY - CENTRE],
+            logits=_OPACITIES * mean[:, OPACITY - CENTRE],
+            colours=_COLOURS * np.float32(SH_C0**2) * mean[:, -1],
+        )
+
+    def _accumulated(self) -> tuple[I32, F32, F32]:
+        """Return (N,) views of each splat, (N, PACKED) mean curvatures, (N,) those of colours."""
+        return self._seen, self._hessians, self._weights
 
     def release(self) -> None:
         """Free the memory that only steps need, after the last one."""

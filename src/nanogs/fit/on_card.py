@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nanogs._types import F32, I32
 from nanogs.card.device import engine_in_use
 from nanogs.fit.descent import Descent
 from nanogs.fit.parameters import RefitParameters
@@ -86,6 +87,9 @@ class CardDescent(Descent):
         mean = State(*self._moving.columns(self._summed))
         lengths = np.linalg.norm(mean.quats, axis=1, keepdims=True)
         return replace(mean, quats=mean.quats / lengths)
+
+    def _accumulated(self) -> tuple[I32, F32, F32]:
+        return self._moving.accumulated()
 
     def _average_shared(self, shared: "SharedHarmonics") -> None:
         sh = self._moving.coefficients()

@@ -14,6 +14,7 @@ from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.report import GroupReport, RefitStop, RoundReport
 from nanogs.fit.state import State, range_notes, start, store
 from nanogs.fit.targets import Fitting
+from nanogs.io.rate_distortion import Curvatures
 from nanogs.progress import PartProgress
 from nanogs.raster.rendering import PreparedSplats, concatenated, prepare
 from nanogs.splats import Splats
@@ -31,7 +32,7 @@ LEAST = 0.05  # of the first learning rate: the fit ends if nothing was kept and
 
 
 class FitOutcome(NamedTuple):
-    """The result of `fit`: fields of `RefitReport`."""
+    """The fields of `RefitReport` that a fit determines."""
 
     groups: tuple[GroupReport, ...]
     psnr_before: float
@@ -40,6 +41,14 @@ class FitOutcome(NamedTuple):
     rounds: tuple[RoundReport, ...]
     stop: RefitStop
     notes: tuple[str, ...]
+
+
+class Fitted(NamedTuple):
+    """The result of a fit: the model, how much its values show, and what is reported."""
+
+    splats: Splats
+    curvatures: Curvatures
+    outcome: FitOutcome
 
 
 class Validator:
@@ -108,7 +117,7 @@ def fit(
     parameters: RefitParameters,
     on_progress: PartProgress,
     shared: "SharedHarmonics | None" = None,
-) -> tuple[Splats, FitOutcome]:
+) -> Fitted:
     """Fit a model in rounds.
 
     Args:
@@ -121,7 +130,7 @@ def fit(
             default each has its own.
 
     Returns:
-        The fitted model, or the input itself if nothing improved it, and the outcome.
+        The fitted model, or the input itself if nothing improved it, with what was found.
     """
     validator = Validator(small, deciding, fitting.surroundings, shared)
     descent = descent_for(small, fitting, parameters, shared)
@@ -132,6 +141,7 @@ def fit(
     for number in range(parameters.rounds):
         begin, before = time.perf_counter(), _mean(validator.best)
         reached, errors = _round(descent, rate, number, on_progress)
+        curvatures = descent.curvatures()
         last = number == parameters.rounds - 1
         if last:
             descent.release()
@@ -169,7 +179,7 @@ def fit(
         stop=stop,
         notes=notes,
     )
-    return validator.delivered(best) if best else small, outcome
+    return Fitted(validator.delivered(best) if best else small, curvatures, outcome)
 
 
 def _line_search(

@@ -13,7 +13,7 @@ import numpy as np
 from nanogs._types import F32, F64, I32, I64
 from nanogs.fit.groups import ViewGroup
 from nanogs.fit.parameters import RefitParameters
-from nanogs.fit.rounds import FitOutcome, fit
+from nanogs.fit.rounds import Fitted, fit
 from nanogs.fit.targets import Fitting
 from nanogs.io.cells import by_label
 from nanogs.io.palette import palette
@@ -100,7 +100,7 @@ def fit_shared(
     deciding: Sequence[ViewGroup],
     parameters: RefitParameters,
     on_progress: PartProgress,
-) -> tuple[Splats, FitOutcome]:
+) -> Fitted:
     """Build a palette of higher harmonics, apply it to a model, and fit the result.
 
     Args:
@@ -112,7 +112,7 @@ def fit_shared(
         on_progress: Progress callback: number of steps made, and their largest possible number.
 
     Returns:
-        The fitted model, with no more sets of higher harmonics than asked for, and the outcome.
+        The result of `fit`, with no more sets of higher harmonics than asked for.
     """
     weights = weights_of_colours(small, fitting)
     found = palette(small.sh[:, 1:].reshape(len(small), -1), entries, weights)

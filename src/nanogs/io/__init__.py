@@ -16,6 +16,7 @@ from nanogs.io.format import Format, FormatOptions, nothing_lost
 from nanogs.io.info import FileInfo
 from nanogs.io.limits import refuse_empty, refused_splats
 from nanogs.io.parts import FileSource
+from nanogs.io.rate_distortion import Curvatures, rounded
 from nanogs.io.retag import checked_mode, retagged
 from nanogs.io.url_files import check_sendable, local_copies
 from nanogs.io.urls import Address, as_path
@@ -30,6 +31,7 @@ __all__ = [
     "bytes_on_disk",
     "check_writable",
     "derived_options",
+    "economical",
     "encoded_bytes",
     "inspect",
     "load",
@@ -322,6 +324,35 @@ def derived_options(
     refuse_empty(source, known.suffix)
     found = known.derived_options(source, format_options)
     return {name: value for name, value in found.items() if format_options.get(name) is None}
+
+
+def economical(
+    splats: Splats,
+    curvatures: Curvatures,
+    path: str | PathLike[str],
+    format_options: FormatOptions,
+    coarseness: float = 1.0,
+) -> Splats:
+    """Round a model's values to those of a format so that its file packs well.
+
+    Args:
+        splats: N splats.
+        curvatures: How much their values show.
+        path: A file of the format; only its suffix counts.
+        format_options: Options that the file will be written with.
+        coarseness: More than 1 for a smaller file of less quality; see `rate_distortion.rounded`.
+
+    Returns:
+        The model, unchanged if it makes no difference to the format.
+
+    Raises:
+        OutputError: The format is not written.
+    """
+    known = registry.writable(as_path(path))
+    if known.quantisation is None:
+        return splats
+    quantisation = known.quantisation(splats, format_options)
+    return rounded(splats, curvatures, quantisation, coarseness)
 
 
 def losses(

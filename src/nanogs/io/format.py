@@ -11,6 +11,7 @@ from nanogs.formatting import listed
 from nanogs.frames import TRAINED
 from nanogs.io.folder import Ours
 from nanogs.io.parts import FileSource
+from nanogs.io.rate_distortion import Quantisation
 from nanogs.progress import PartProgress
 from nanogs.source import Layout, Source
 from nanogs.splats import MAX_SH_DEGREE, Splats
@@ -169,6 +170,8 @@ class Format:
             elements of a model, of which the names are given.
         derived_options: Computes options that are not given from the model, so that a similar model
             can be written in the same way.
+        quantisation: Returns the values that a file written with given options can hold, if the
+            bytes of a file depend on which of them are chosen.
         magic: First bytes, by which a file without a name is recognised.
         zip_member: Name of a file by which a zip without a name is recognised.
         named_files: Lists the other files that a file names, before they are there: for downloads.
@@ -202,6 +205,7 @@ class Format:
     check_columns: Callable[[Layout], None] = lambda _columns: None
     check_elements: Callable[[Sequence[str], FormatOptions], None] = lambda _names, _options: None
     derived_options: Callable[[Source, FormatOptions], FormatOptions] = lambda _source, _options: {}
+    quantisation: Callable[[Splats, FormatOptions], Quantisation] | None = None
     magic: tuple[bytes, ...] = ()
     zip_member: str = ""
     named_files: Callable[[Path], Sequence[Path]] = lambda _path: ()

@@ -39,6 +39,22 @@ def with_w(xyz: F64) -> F64:
     return np.column_stack([w, xyz])
 
 
+def rotations_between(quats: F64, others: F64) -> F64:
+    """Return (R, 3) the small rotations, radians, about a splat's own axes, from one to the other.
+
+    Args:
+        quats: (R, 4) unit quaternions, wxyz.
+        others: (R, 4) unit quaternions near these, not near their negatives.
+    """
+    (w, x, y, z), (a, b, c, d) = quats.T, others.T
+    parts = (
+        w * b - x * a - y * d + z * c,
+        w * c + x * d - y * a - z * b,
+        w * d - x * c + y * b - z * a,
+    )
+    return 2 * np.stack(parts, axis=1)
+
+
 def split_quats(quats: Array, left_out: I64 | None = None) -> tuple[I64, Array]:
     """Return the index of the component to leave out, (R,), and the other three in order, (R, 3).
 

@@ -26,9 +26,10 @@ Bounds: TypeAlias = tuple[float, float, float, float]
 SHAPE = 10
 PACKED = 55  # lower triangle of a 10 x 10 matrix, row by row
 SCREEN = 6
-# Number of parameters of the centre, index of the opacity, and index of the first monomial of
-# second order.
-CENTRE, OPACITY, SPREAD = 3, 9, 3
+DIAGONAL = np.array([row * (row + 3) // 2 for row in range(SHAPE)])  # places in such a matrix
+# Number of parameters of the centre, indices of the first rotation and of the opacity, and index of
+# the first monomial of second order.
+CENTRE, TURN, OPACITY, SPREAD = 3, 6, 9, 3
 # Share of its displacement that each step of full length undoes if views determine nothing of a
 # splat.
 RESTORING = 0.2

@@ -170,7 +170,7 @@ class CheckedModel:
         """
         # The other fields of an outcome are those of the report, by the same names.
         reported = {each.name: getattr(outcome, each.name) for each in fields(outcome)}
-        del reported["splats"], reported["fields"]
+        del reported["splats"], reported["fields"], reported["curvatures"]
         idle = idle_notes(self.preset, self.parameters)
         notes = (*self.splats.notes, *outcome.notes, *idle)
         return SimplifyReport(

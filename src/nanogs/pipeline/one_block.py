@@ -13,6 +13,7 @@ from nanogs.activations import alphas
 from nanogs.fit.groups import ViewGroup, split
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target, as_target, make_target
+from nanogs.io.rate_distortion import Curvatures
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method.activation import scene_origin
 from nanogs.method.correct import Correction, Ordering
@@ -86,6 +87,7 @@ class OneBlock(Scene):
         fitting: Renders of the original that are fitted to, as far as they are kept; without the
             deciding ones.
         view_groups: The deciding views: results are chosen and fits are judged by them.
+        curvatures: How much the values of the result show, if it was fitted.
     """
 
     splats: Splats
@@ -113,6 +115,7 @@ class OneBlock(Scene):
     _corrected: dict[int, F] = field(default_factory=dict)  # scores of a cut with corrected errors
     _stored: list[tuple[I32, Groups]] = field(default_factory=list)
     _part: Splats | None = None
+    curvatures: Curvatures | None = None
     _fit: RefitReport | None = None
 
     def asking(self, count: int) -> "OneBlock":
@@ -126,6 +129,7 @@ class OneBlock(Scene):
         return replace(
             self, asked_count=count, _records=dict(self._records),
             _cuts={}, _reassigned=None, _corrected={}, _stored=[],
+            curvatures=None,
         )  # fmt: skip
 
     # What is known.
@@ -390,9 +394,11 @@ class OneBlock(Scene):
         self._part = small
         return self.write(name, {}, {})
 
-    def keep_fit(self, name: str, fitted: Splats, report: RefitReport | None) -> Record:
-        """Keep the splats of a result after the fit, and the report of the fit."""
-        self._part, self._fit = fitted, report
+    def keep_fit(
+        self, name: str, fitted: Splats, curvatures: Curvatures | None, report: RefitReport | None
+    ) -> Record:
+        """Keep the splats of a result after the fit, and what the fit has found."""
+        self._part, self.curvatures, self._fit = fitted, curvatures, report
         return self.write(name, {}, {})
 
     @property

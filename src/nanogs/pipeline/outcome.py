@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from nanogs.fit.report import RefitReport
 from nanogs.formatting import unseen_cause
+from nanogs.io.rate_distortion import Curvatures
 from nanogs.report import CandidateReport, PassReport, StopReason
 from nanogs.splats import Splats
 
@@ -21,6 +22,7 @@ class Outcome:
     Attributes:
         splats: The model.
         fields: Others of the report, by name: those that a search or a size determines.
+        curvatures: How much the model's values show, if it was fitted; not reported.
     """
 
     splats: Splats
@@ -35,12 +37,15 @@ class Outcome:
     fit: RefitReport | None = None
     notes: tuple[str, ...] = ()
     fields: Mapping[str, Any] = field(default_factory=dict)
+    curvatures: Curvatures | None = None
 
 
 def outcome_of(scene: "OneBlock") -> Outcome:
     """Return the result of a model in memory, with report data."""
     stop = StopReason.TARGET if scene.target(0) == scene.asked_count else scene.forest.stop
-    return Outcome(splats=scene.part(0, 0), stop=stop, **report_fields(scene, 0))
+    return Outcome(
+        splats=scene.part(0, 0), stop=stop, curvatures=scene.curvatures, **report_fields(scene, 0)
+    )
 
 
 def report_fields(scene: "Scene", level: int) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from nanogs._types import F64, I32, I64, Array, Bool
 from nanogs.fit.groups import ViewGroup
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Fitting, Target
+from nanogs.io.rate_distortion import Curvatures
 from nanogs.method.correct import Correction, Ordering
 from nanogs.method.growth import Cover
 from nanogs.method.store import Groups
@@ -315,8 +316,17 @@ class Scene(ABC):
         """Keep the splats of a block in a result, before the fit."""
 
     @abstractmethod
-    def keep_fit(self, name: str, fitted: Splats, report: RefitReport | None) -> Record:
-        """Keep the splats of a block in a result after the fit; `report` is None without a fit."""
+    def keep_fit(
+        self, name: str, fitted: Splats, curvatures: Curvatures | None, report: RefitReport | None
+    ) -> Record:
+        """Keep the splats of a block in a result after the fit.
+
+        Args:
+            name: Name of the task.
+            fitted: The splats.
+            curvatures: How much their values show; None without a fit.
+            report: None without a fit.
+        """
 
     @property
     @abstractmethod

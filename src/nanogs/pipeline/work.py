@@ -15,6 +15,7 @@ from nanogs._types import F64, I32, I64, Array
 from nanogs.errors import OutputError
 from nanogs.fit.report import RefitReport
 from nanogs.fit.targets import Target, make_target
+from nanogs.io.rate_distortion import Curvatures
 from nanogs.kernels.blocks import ALL_BLOCKS, FIELDS
 from nanogs.method.correct import Correction, Ordering
 from nanogs.method.growth import Cover
@@ -45,7 +46,7 @@ from nanogs.pipeline.tasks.fitting import (
 from nanogs.pipeline.tasks.forests import grow, number_of, passes_of, write_correction
 from nanogs.pipeline.tasks.halo import Halo, find_halo, near_groups
 from nanogs.pipeline.tasks.partition import Partition, partition_of
-from nanogs.pipeline.tasks.parts import read_part
+from nanogs.pipeline.tasks.parts import columns_of_curvatures, read_part
 from nanogs.pipeline.tasks.reassigning import (
     GONE,
     GROUP,
@@ -448,10 +449,15 @@ class Work(Scene):
         order = stable_order(self.units.codes(small))
         return write_table(self.scratch, name, sorted_columns(small, order), {})
 
-    def keep_fit(self, name: str, fitted: Splats, report: RefitReport | None) -> Record:
+    def keep_fit(
+        self, name: str, fitted: Splats, curvatures: Curvatures | None, report: RefitReport | None
+    ) -> Record:
         """Write the splats of a block in a result after the fit, and what of it is reported."""
         facts = {FITTED: facts_of_fit(report) if report else None}
-        return self.write(name, columns_of(fitted), facts)
+        columns = columns_of(fitted)
+        if curvatures is not None and self.settings.search is not None:
+            columns |= columns_of_curvatures(curvatures)
+        return self.write(name, columns, facts)
 
     def _near_cover(self, block: int, level: int) -> list[Cover]:
         """Read the groups of other blocks that may cover those of a block, block by block."""

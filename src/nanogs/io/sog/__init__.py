@@ -2,12 +2,14 @@
 
 from nanogs.io.format import Format, FormatOptions, WriteOption
 from nanogs.io.precision import FEWEST_BITS, MOST_BITS, MOST_SPARE_BITS
+from nanogs.io.rate_distortion import Quantisation
 from nanogs.io.registry import ARCHIVE, LEVELS, META
 from nanogs.io.sog import write
 from nanogs.io.sog.levels import open_level
 from nanogs.io.sog.meta import PALETTE_MAX
 from nanogs.io.sog.read import SogSource
 from nanogs.source import Source
+from nanogs.splats import Splats
 
 _FIRST_BITS = 6  # start of a search for the best `bits`: mostly at most one off
 _OPTIONS = {
@@ -30,6 +32,10 @@ def _derived_options(source: Source, options: FormatOptions) -> FormatOptions:
     return {"spare_bits": write.spare_bits(source.load(), bits)}
 
 
+def _quantisation(splats: Splats, options: FormatOptions) -> Quantisation:
+    return write.quantisation(splats, options.get("bits") or write.USUAL_BITS)
+
+
 FORMATS = (
     Format(
         ".sog",
@@ -39,6 +45,7 @@ FORMATS = (
         losses=write.losses,
         options=_OPTIONS,
         derived_options=_derived_options,
+        quantisation=_quantisation,
         max_degree=write.MAX_DEGREE,
         rounds=True,
         zip_member=META,
@@ -51,6 +58,7 @@ FORMATS = (
         losses=write.losses,
         options=_OPTIONS,
         derived_options=_derived_options,
+        quantisation=_quantisation,
         max_degree=write.MAX_DEGREE,
         rounds=True,
         write_folder=write.write_folder,

@@ -30,6 +30,7 @@ from nanogs.io.generator import GENERATOR, read_own
 from nanogs.io.json_fields import is_plain
 from nanogs.io.palette import palette
 from nanogs.io.precision import Precision, visibility
+from nanogs.io.rate_distortion import Quantisation
 from nanogs.io.registry import META
 from nanogs.io.rotations import Rounding, minimise_rotation, split_quats
 from nanogs.io.sog import meta as sog_meta
@@ -306,6 +307,21 @@ def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
     return _spare(splats, scales, precision, low, range_)
 
 
+def quantisation(splats: Splats, bits: int = USUAL_BITS) -> Quantisation:
+    """Return the values that `write` can give a model with `bits`."""
+    fine = Precision(bits)
+    scales, colours = _codebooks((splats.log_scales, fine.scales), (splats.sh[:, 0], fine.colours))
+    levels = np.arange(fine.alphas + 1) / fine.alphas
+    codes = np.arange(0, CODES, fine.rotation_step)
+    return Quantisation(
+        log_scales=np.unique(scales),
+        logits=BYTE_LOGITS[_alpha_codes(levels, fine.alphas)],
+        colours=np.unique(colours),
+        # A surfel keeps its third axis, so that w need not be the largest component.
+        rotations=None if splats.render_mode is RenderMode.SURFEL else _restored(codes),
+    )
+
+
 def _sizes_as_decoded(splats: Splats, scales: F32, precision: Precision) -> Splats:
     """Return the model with the scales and opacities that reading it again gives.
 
@@ -431,18 +447,28 @@ def _components(small: F64, step: int) -> F64:
     return whole
 
 
+def _restored(codes: F64 | I64) -> F64:
+    """Return the components of rotations that codes stand for."""
+    restored: F64 = (codes / 255 - 0.5) * math.sqrt(2)
+    return restored
+
+
 def _rounding(step: int) -> Rounding:
     """Return how components of rotations are rounded to codes that are multiples of the step."""
     return Rounding(
-        lambda small: (_components(small, step) / 255 - 0.5) * math.sqrt(2),
+        lambda small: _restored(_components(small, step)),
         step / 255 * math.sqrt(0.5),
     )
 
 
 def _alphas(splats: Splats, steps: int) -> U8:
     """Round alphas to the nearest of `steps` + 1 levels from 0 to 255, both included, (N,)."""
-    alphas: U8 = np.rint(np.rint(splats.opacities() * steps) * (255 / steps)).astype(np.uint8)
-    return alphas
+    return _alpha_codes(splats.opacities(), steps)
+
+
+def _alpha_codes(alphas: F64, steps: int) -> U8:
+    codes: U8 = np.rint(np.rint(alphas * steps) * (255 / steps)).astype(np.uint8)
+    return codes
 
 
 def _higher(

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 from nanogs.io.format import Format, FormatOptions, WriteOption
 from nanogs.io.precision import FEWEST_BITS, MOST_BITS, MOST_SPARE_BITS
+from nanogs.io.rate_distortion import Quantisation
 from nanogs.io.spz import write
 from nanogs.io.spz.header import GZIP, MAGIC, RECORDED_FRAMES
 from nanogs.io.spz.read import open_spz
 from nanogs.io.spz.records import is_record_name
 from nanogs.source import Source
+from nanogs.splats import Splats
 
 _FRAME = (
     "not stated in the file; y up (rub) by the specification, though many files have y down (rdf)"
@@ -27,6 +29,10 @@ def _version(options: FormatOptions) -> int:
 
 def _derived_options(source: Source, options: FormatOptions) -> FormatOptions:
     return {"spare_bits": write.spare_bits(source, options.get("bits") or MOST_BITS)}
+
+
+def _quantisation(_splats: Splats, options: FormatOptions) -> Quantisation:
+    return write.quantisation(options.get("bits") or MOST_BITS, _version(options))
 
 
 def _check_options(options: FormatOptions) -> None:
@@ -62,6 +68,7 @@ FORMATS = (
         check_options=_check_options,
         check_elements=_check_elements,
         derived_options=_derived_options,
+        quantisation=_quantisation,
         reports_progress=True,
         streams=True,
         rounds=True,

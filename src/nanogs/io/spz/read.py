@@ -39,7 +39,7 @@ MAGNITUDE = 511
 
 _PIECES = 8 << 20  # memory in bytes for compressed and decompressed pieces, and buffers
 _BYTES = np.arange(256)
-_COLOURS = ((_BYTES / 255 - 0.5) / COLOUR_SCALE).astype(np.float32)
+COLOURS = ((_BYTES / 255 - 0.5) / COLOUR_SCALE).astype(np.float32)
 LOG_SCALES = (_BYTES / SCALE_STEPS + SCALE_LOW).astype(np.float32)
 _SH = ((_BYTES - 128) / SH_STEPS).astype(np.float32)
 
@@ -131,7 +131,7 @@ def _decoded(header: Header, columns: Mapping[str, U8]) -> Splats:
         out["means"][span] = _means(block["positions"], header)
         out["log_scales"][span] = LOG_SCALES[block["scales"]]
         out["quats"][span] = (_xyz_quats if header.version <= 2 else _quats)(block["rotations"])
-        out["sh"][span, 0] = _COLOURS[block["colours"]]
+        out["sh"][span, 0] = COLOURS[block["colours"]]
         if header.degree:
             out["sh"][span, 1:] = _SH[block["sh"]].reshape(-1, coefficients - 1, 3)
     return Splats(**out, render_mode=_render_mode(header))

@@ -31,6 +31,7 @@ from nanogs.io import limits
 from nanogs.io.by_column import Encoder, encoded_columns
 from nanogs.io.palette import palette
 from nanogs.io.precision import FINEST, MOST_BITS, Precision, visibility
+from nanogs.io.rate_distortion import Quantisation
 from nanogs.io.rotations import Rounding, minimise_rotation, place_left_out, split_quats
 from nanogs.io.spz.body import frame_record
 from nanogs.io.spz.header import (
@@ -46,6 +47,7 @@ from nanogs.io.spz.header import (
 from nanogs.io.spz.packing import BEST, is_small, sorted_columns, write_gzip
 from nanogs.io.spz.read import (
     COLOUR_SCALE,
+    COLOURS,
     LOG_SCALES,
     MAGNITUDE,
     SCALE_LOW,
@@ -395,6 +397,28 @@ def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Enco
     if len(buckets):
         encoders.append(lambda block: _coefficients(block.sh[:, 1:], buckets))
     return encoders
+
+
+def quantisation(bits: int, version: int) -> Quantisation:
+    """Return the values that `write` can give a model with `bits`, in a version of the format."""
+    steps = STEPS[bits]
+    rotations: F64 | None = None
+    if bits < MOST_BITS and version == VERSION_SHORT_ROTATIONS:
+        rotations = _codes(steps.rotations, _ZERO) / 127.5 - 1
+    elif bits < MOST_BITS:
+        codes = np.arange(-(MAGNITUDE // steps.magnitudes), MAGNITUDE // steps.magnitudes + 1)
+        rotations = codes * np.float64(steps.magnitudes * math.sqrt(0.5) / MAGNITUDE)
+    return Quantisation(
+        log_scales=LOG_SCALES[_codes(steps.scales)],
+        logits=BYTE_LOGITS[_codes(steps.alphas, _BYTE)],
+        colours=COLOURS[_codes(steps.colours, _BLACK)],
+        rotations=rotations,
+    )
+
+
+def _codes(step: int, start: int = 0) -> I64:
+    """Return the codes that `_stepped` gives, ascending."""
+    return np.unique(_stepped(np.arange(256.0), step, start)).astype(np.int64)
 
 
 def _alphas(block: Splats, step: int) -> U8:

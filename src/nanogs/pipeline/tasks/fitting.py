@@ -45,7 +45,7 @@ def fit_part(scene: Scene, task: Task) -> Record:
     block, level = task.number, task.level
     part, views = scene.part(block, level), scene.fit_views(block, level)
     if views is None:
-        return scene.keep_fit(task.name, part, None)
+        return scene.keep_fit(task.name, part, None, None)
     parameters = replace(
         fit_parameters(scene.settings.parameters),
         views=len(views.fitting),
@@ -56,7 +56,7 @@ def fit_part(scene: Scene, task: Task) -> Record:
         part, views.fitting, views.deciding, parameters, views.original_count, scene.threads,
         scene.on_progress, entries,
     )  # fmt: skip
-    return scene.keep_fit(task.name, fitted, report)
+    return scene.keep_fit(task.name, fitted.splats, fitted.curvatures, report)
 
 
 def fit_report(work: "Work", level: int) -> RefitReport | None:

@@ -1,13 +1,14 @@
 """The splats that are left of each block, by level: the parts that results are assembled from."""
 
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nanogs._types import I64, U64, Array, F
+from nanogs._types import F32, I64, U64, Array, F
 from nanogs.frames import change_between, turned
+from nanogs.io.rate_distortion import Curvatures
 from nanogs.pipeline.api import simplify
 from nanogs.pipeline.options.settings import Settings, plain
 from nanogs.pipeline.scene import Task
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
 
 BOUNDS = "bounds"
+_CURVATURE = "curvature:"
 
 
 def read_part(scratch: Scratch, layout: Layout, record: Record) -> Splats:
@@ -73,6 +75,42 @@ class LevelSource(Source):
         if self._table is not None:
             self._table.close()
             self._table = None
+
+
+def columns_of_curvatures(curvatures: Curvatures) -> dict[str, Array]:
+    """Return the columns by which the curvatures of a part are kept beside its splats."""
+    return {_CURVATURE + each.name: getattr(curvatures, each.name) for each in fields(curvatures)}
+
+
+def read_curvatures(work: "Work", level: int) -> Curvatures | None:
+    """Read the curvatures of a level's splats, in the order of `LevelSource`.
+
+    Splats of blocks that were not fitted are typical.
+
+    Returns:
+        None if no block was fitted, or if splats were merged afterwards.
+    """
+    records = work.delivered(level)
+    names = [each.name for each in fields(Curvatures)]
+    known = [_CURVATURE + names[0] in record.columns for record in records]
+    if not any(known) or work.delivered_count(level) > work.target(level):
+        return None
+    read: dict[str, F32] = {}
+    for name in names:
+        parts = []
+        for record, has in zip(records, known, strict=True):
+            with Table(work.scratch, record) as table:
+                parts.append(table.read(_CURVATURE + name) if has else None)
+        typical = np.median(np.concatenate([part for part in parts if part is not None]), axis=0)
+        read[name] = np.concatenate(
+            [
+                np.broadcast_to(typical, (count_of(record), *typical.shape))
+                if part is None
+                else part
+                for record, part in zip(records, parts, strict=True)
+            ]
+        ).astype(np.float32)
+    return Curvatures(**read)
 
 
 def simplify_further(small: Splats, target: int, settings: Settings, threads: int) -> Splats:

@@ -27,7 +27,7 @@ from nanogs.splats import Splats
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """What all blocks of a scene measure by, so that positions and errors of any two compare.
+    """Measures that all blocks of a scene share, so that positions and errors of any two compare.
 
     Attributes:
         origin: Subtracted from the centres, scene units.
