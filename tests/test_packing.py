@@ -34,6 +34,7 @@ from nanogs.pipeline.search.files import HeldFiles
 from nanogs.pipeline.search.packing import (
     FIRST_PER_ENTRY,
     LARGER,
+    LEFT,
     SMALLER,
     Bits,
     Choices,
@@ -57,6 +58,11 @@ SHARES = (*LARGER, FIRST_PER_ENTRY, *SMALLER)
 
 
 # ---- the search ------------------------------------------------------------------------------
+
+
+def tried(sh_degree, options, count, size, psnr, unpacked=200.0):
+    """Report a file of which packing alone loses all, unless the unpacked PSNR is given."""
+    return PackingReport(sh_degree, options, count, size, psnr, 0.9, unpacked, 0.9)
 
 
 class SyntheticModel:
@@ -88,7 +94,19 @@ class SyntheticModel:
         psnr -= self.bit * abs(dict(packing.bits).get("bits", 7) - bits)
         if packing.per_entry and packing.sh_degree:
             psnr -= 0.4 * abs(math.log2(packing.per_entry / share))
-        return PackingReport(packing.sh_degree, packing.options(count), count, size, psnr, 0.9)
+        return tried(packing.sh_degree, packing.options(count), count, size, psnr)
+
+
+def test_a_whole_fit_diminishes_only_the_error_that_packing_did_not_add():
+    choices = Choices([0], palettes=False, by_psnr=True)
+    assert choices.quality(tried(0, {}, 9, 9, 30.0)) == pytest.approx(30)
+    # Of errors in units of 1e-3: 1 of the file, of which 0.5 is the result's own and falls to 0.4.
+    half = tried(0, {}, 9, 9, 30.0, 30 + 10 * math.log10(2))
+    assert choices.quality(half) == pytest.approx(30 - 10 * math.log10(0.9))
+    # A file that happens to look better than the result does not count for more than without loss.
+    better = tried(0, {}, 9, 9, 30.0, 28.0)
+    assert choices.quality(better) == pytest.approx(30 - 10 * math.log10(LEFT))
+    assert choices.quality(tried(0, {}, 9, 9, math.inf, math.inf)) == math.inf
 
 
 @given(st.integers(0, 3), st.sampled_from(SHARES), st.integers(4, 8), st.booleans(), st.booleans())
@@ -138,7 +156,7 @@ def test_a_larger_palette_is_not_tried_with_bits_that_only_a_small_one_had_room_
             psnr = 40 + 60 * math.log(count / available) - 8 * math.log2(packing.per_entry)
             psnr += 0.8 * dict(packing.bits)["sh_bits"]
             size = self.bytes_of(packing, count)
-            return PackingReport(3, packing.options(count), count, size, psnr, 0.9)
+            return tried(3, packing.options(count), count, size, psnr)
 
     bits = {"sh_bits": Bits(5, range(2, 9), 5, of_harmonics=True)}
     model = Steep(3, 1.5, 5)
@@ -342,7 +360,7 @@ def test_a_result_is_packed_with_the_options_that_were_measured(edge_count):
 
 def test_the_slope_is_the_quality_gained_by_more_splats():
     choices = Choices([0], palettes=False)
-    less, more = (PackingReport(0, {}, n * n, n, 30 + 6 * math.log(n), 0.9) for n in (1000, 1600))
+    less, more = (tried(0, {}, n * n, n, 30 + 6 * math.log(n)) for n in (1000, 1600))
     assert slope_of(choices, less, more) == pytest.approx(6)
     assert slope_of(choices, less, replace(more, psnr=math.inf)) == SLOPES[1]
     assert slope_of(choices, less, less) == SLOPES[1]

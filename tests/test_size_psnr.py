@@ -510,7 +510,7 @@ def test_a_psnr_never_takes_more_bytes_than_the_whole_model(asked, whole_psnr, e
 
     def chosen(count):
         packing = Packing(0, None, (("bits", 8),))
-        tried = (PackingReport(0, {}, count, 1, 30.0, 0.9),)
+        tried = (PackingReport(0, {}, count, 1, 30.0, 0.9, 31.0, 0.9),)
         pack.packed = ChosenPacking(packing, count, tried, 0, 0, ".sog")
         return CountedResults(), count
 

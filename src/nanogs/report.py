@@ -143,6 +143,8 @@ class PackingReport:
         psnr: PSNR of the file when read back, on the views that settings are chosen by, dB; not
             what `compare` measures.
         ssim: SSIM over the same views.
+        unpacked_psnr: PSNR of the result as it is before it is written, dB.
+        unpacked_ssim: Its SSIM.
     """
 
     sh_degree: int
@@ -151,6 +153,8 @@ class PackingReport:
     bytes: int
     psnr: float
     ssim: float
+    unpacked_psnr: float
+    unpacked_ssim: float
 
 
 @dataclass(frozen=True, slots=True)

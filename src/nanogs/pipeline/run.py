@@ -13,6 +13,7 @@ from nanogs.pipeline.scene import Scene, Task
 from nanogs.pipeline.stages import JobStage, do, held_stages, stages_of
 from nanogs.pipeline.work import BEGUN, Work
 from nanogs.progress import Tracker, ignore_progress
+from nanogs.source import Source
 from nanogs.store.scratch import Scratch
 from nanogs.store.tables import verified, write_table
 
@@ -50,6 +51,7 @@ class Done:
         levels: Levels of the results that are delivered.
         fields: Report fields that a search has found, by name.
         notes: Other notes, one sentence each.
+        prepared: Returns what is written of a result: itself, or with values that pack well.
     """
 
     work: Work
@@ -57,6 +59,7 @@ class Done:
     levels: Sequence[int]
     fields: Mapping[str, Any] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    prepared: Callable[[Source], Source] = lambda source: source
 
 
 @dataclass(slots=True, eq=False)

@@ -100,7 +100,7 @@ class ResultWriter:
                 if not isinstance(self.sink.block_layout, Chunked):
                     on_progress(number, len(done.levels))
                     with result_of(work, level) as source:
-                        filling.add(source)
+                        filling.add(done.prepared(source))
                 else:
                     filling.add_blocks(blocks_of(work, level, progress.part))
             with self._judge(work, progress) as judge:

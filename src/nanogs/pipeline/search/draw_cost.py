@@ -188,7 +188,7 @@ def search_draw_cost(
     result = tried.found()
     results.verify(result, progress)
     fields = {"draw_probes": probes + found.probes, "stop": found.stop, "cost": cost_of(result)}
-    return Delivered(result, fields | {"original_cost": views.original})
+    return Delivered(files.rounded(result, {}), fields | {"original_cost": views.original})
 
 
 def _measuring(_count: int) -> Stage:

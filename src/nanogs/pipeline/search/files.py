@@ -5,25 +5,33 @@ The one of a scene in blocks is in `in_blocks`.
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 from nanogs.clock import StageClock
 from nanogs.frames import back, turned
-from nanogs.io import derived_options, encoded_bytes, round_trip, round_trip_with_size
+from nanogs.io import (
+    derived_options,
+    economical,
+    encoded_bytes,
+    registry,
+    round_trip,
+    round_trip_with_size,
+)
 from nanogs.pipeline.outcome import Outcome
+from nanogs.pipeline.search.coarseness import fill_by_rounding
 from nanogs.pipeline.search.size_request import Options
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import SelectionViews, selection_views
 from nanogs.source import Source
 from nanogs.splats import Splats
 
-R_contra = TypeVar("R_contra", contravariant=True)
+R = TypeVar("R")
 
 
-class Files(Protocol[R_contra]):
+class Files(Protocol[R]):
     """Writes results to measure how large their files are, and how good they look.
 
     Attributes:
@@ -35,20 +43,32 @@ class Files(Protocol[R_contra]):
     def open_original(self) -> AbstractContextManager[Splats | Source]:
         """Open the original, in its own frame."""
 
-    def count(self, result: R_contra) -> int:
+    def count(self, result: R) -> int:
         """Return the number of splats of a result."""
+
+    def rounded(self, result: R, options: Options, size: int | None = None) -> R:
+        """Return a result whose values are rounded so that its file packs well.
+
+        Args:
+            result: The result; it is returned itself if it was not fitted.
+            options: Of the format.
+            size: Bytes to fill by finer or coarser rounding, as far as that goes.
+        """
 
     def sample_bytes(self, some: Splats, options: Options) -> int:
         """Return the size of a file of some splats with options of the format, bytes."""
 
-    def bytes_of(self, result: R_contra, options: Options) -> int:
-        """Return the size of a result's file, bytes."""
+    def bytes_of(self, result: R, options: Options, size: int | None = None) -> int:
+        """Return the size of a result's file, rounded as by `rounded`, bytes."""
 
     def shows(self) -> bool:
         """Whether the views to choose by show the original, so that files can be compared."""
 
-    def measure(self, result: R_contra, sh_degree: int, options: Options) -> PackingReport:
+    def measure(self, result: R, sh_degree: int, options: Options) -> PackingReport:
         """Write a result to a file; measure its bytes, and its quality on the views to choose by.
+
+        Values are rounded to the nearest: results that are only compared are fitted to so few views
+        that these do not tell well what shows.
 
         Args:
             result: The result.
@@ -56,11 +76,19 @@ class Files(Protocol[R_contra]):
             options: Of the format; the report also has those that are derived from the result.
         """
 
-    def stored(self, result: R_contra, options: Options) -> AbstractContextManager[Splats | Source]:
+    def stored(self, result: R, options: Options) -> AbstractContextManager[Splats | Source]:
         """Open a result as its file holds or shows it, in the frame of the original."""
 
-    def unwritten(self, result: R_contra) -> AbstractContextManager[Splats | Source]:
+    def unwritten(self, result: R) -> AbstractContextManager[Splats | Source]:
         """Open a result as it is before it is written, in the frame of the original."""
+
+
+class _Filled(NamedTuple):
+    """The latest call of `HeldFiles._filled`: its arguments, and what it returned."""
+
+    result: Outcome
+    asked: tuple[Options, int]
+    found: tuple[Outcome, int]
 
 
 @dataclass(eq=False)
@@ -82,6 +110,8 @@ class HeldFiles:
     clock: StageClock
     frame: tuple[str, str] | None = None
     by_psnr: bool = False
+    _latest: "_Filled | None" = None
+    _measured: tuple[Outcome, int, tuple[float, float]] | None = None  # the latest of `_unpacked`
 
     @cached_property
     def views(self) -> SelectionViews:
@@ -101,9 +131,42 @@ class HeldFiles:
         with self.clock.time("encode"):
             return encoded_bytes(turned(some, self.frame), self.path, {**self.given, **options})
 
-    def bytes_of(self, result: Outcome, options: Options) -> int:
+    def rounded(self, result: Outcome, options: Options, size: int | None = None) -> Outcome:
+        """Return a result whose values are rounded to pack well; see `Files.rounded`."""
+        if size is None or not self._rounds(result):
+            return self._economical(result, options, 1.0)
+        return self._filled(result, options, size)[0]
+
+    def bytes_of(self, result: Outcome, options: Options, size: int | None = None) -> int:
         """Return the bytes of a result's file; see `Files.bytes_of`."""
-        return self.sample_bytes(result.splats, options)
+        if size is None or not self._rounds(result):
+            return self._packed(result, options, 1.0)[1]
+        return self._filled(result, options, size)[1]
+
+    def _rounds(self, result: Outcome) -> bool:
+        """Whether rounding makes a difference to a result."""
+        known = registry.writable(self.path)
+        return result.curvatures is not None and known.quantisation is not None
+
+    def _filled(self, result: Outcome, options: Options, size: int) -> tuple[Outcome, int]:
+        """Return a result whose rounding fills a size, and its bytes; once for several calls."""
+        latest, asked = self._latest, (dict(options), size)
+        if latest is None or latest.result is not result or latest.asked != asked:
+            found = fill_by_rounding(partial(self._packed, result, options), size)
+            self._latest = latest = _Filled(result, asked, found)
+        return latest.found
+
+    def _packed(self, result: Outcome, options: Options, coarseness: float) -> tuple[Outcome, int]:
+        small = self._economical(result, options, coarseness)
+        return small, self.sample_bytes(small.splats, options)
+
+    def _economical(self, result: Outcome, options: Options, coarseness: float) -> Outcome:
+        if result.curvatures is None or not self._rounds(result):
+            return result
+        with self.clock.time("encode"):
+            splats, given = turned(result.splats, self.frame), {**self.given, **options}
+            small = economical(splats, result.curvatures, self.path, given, coarseness)
+        return replace(result, splats=turned(small, back(self.frame)), curvatures=None)
 
     def shows(self) -> bool:
         """Return whether any view shows the original; see `Files.shows`."""
@@ -117,16 +180,23 @@ class HeldFiles:
             options = {**options, **derived_options(bare, self.path, {**self.given, **options})}
             small, size = round_trip_with_size(bare, self.path, {**self.given, **options})
         with self.clock.time("measure"):
-            psnr, ssim = self.views.judge(turned(small, back(self.frame)))
-        return PackingReport(sh_degree, options, len(bare), size, psnr, ssim)
+            found = self.views.judge(turned(small, back(self.frame)))
+            before = self._unpacked(result, sh_degree)
+        return PackingReport(sh_degree, options, len(bare), size, *found, *before)
+
+    def _unpacked(self, result: Outcome, sh_degree: int) -> tuple[float, float]:
+        """Measure PSNR and SSIM of a result that is not packed, once for several calls."""
+        known = self._measured
+        if known is None or known[:2] != (result, sh_degree):
+            scores = self.views.judge(result.splats.with_sh_degree(sh_degree))
+            self._measured = known = result, sh_degree, scores
+        return known[2]
 
     @contextmanager
     def stored(self, result: Outcome, options: Options) -> Iterator[Splats]:
         """Encode a result and read it back; see `Files.stored`."""
-        given = {**self.given, **options}
-        yield turned(
-            round_trip(turned(result.splats, self.frame), self.path, given), back(self.frame)
-        )
+        given, small = {**self.given, **options}, self.rounded(result, options).splats
+        yield turned(round_trip(turned(small, self.frame), self.path, given), back(self.frame))
 
     def unwritten(self, result: Outcome) -> AbstractContextManager[Splats]:
         """Return the splats of a result, which are turned only when they are encoded."""

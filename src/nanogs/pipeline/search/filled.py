@@ -38,6 +38,8 @@ def fill_size(packer: Packer[T]) -> Delivered[T]:
     if fitted.count == available and known.file_bytes is None:
         left_out = packed.packing.sh_degree < packer.sample.sh_degree
         notes += (whole_fits(left_out=left_out),)
+    options = packed.packing.options(packer.files.count(result))
+    result = packer.files.rounded(result, options, packer.request.size)
     fields = {"achieved_size": fitted.bytes, "size_probes": fitted.probes, "stop": fitted.stop}
     return Delivered(result, fields | packed.report_fields(packer.files.count(result)), notes)
 
@@ -88,7 +90,7 @@ def _filled(packer: Packer[T], packed: ChosenPacking) -> tuple[T, FittedSize]:
         return chosen.make(count, progress.within(0, 1, chosen.stages(count))), fitted
 
     def bytes_of(result: T) -> int:
-        return files.bytes_of(result, packing.options(files.count(result)))
+        return files.bytes_of(result, packing.options(files.count(result)), request.size)
 
     near, overhead = packed.tight or bool(packed.packings), request.known.overhead_bytes()
     return fit_size(

@@ -2,24 +2,34 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from nanogs.clock import StageClock
 from nanogs.frames import back, turned
-from nanogs.io import bytes_on_disk, derived_options, encoded_bytes, registry, write_model
+from nanogs.io import (
+    bytes_on_disk,
+    derived_options,
+    economical,
+    encoded_bytes,
+    registry,
+    write_model,
+)
 from nanogs.io import open as open_model
 from nanogs.io.format import FormatOptions
+from nanogs.io.rate_distortion import Curvatures
 from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.job.rows import opened, sample
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.run import Done, Run
+from nanogs.pipeline.search.coarseness import fill_by_rounding
 from nanogs.pipeline.search.file_size import SIZE_SAMPLE
 from nanogs.pipeline.search.find import find_result
-from nanogs.pipeline.search.job_results import JobResults, Result
+from nanogs.pipeline.search.job_results import JobResults, Result, Rounding
 from nanogs.pipeline.search.size_request import SizeRequest
+from nanogs.pipeline.tasks.parts import read_curvatures
 from nanogs.pipeline.work import SHORT_RUN, Work
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport
@@ -69,7 +79,8 @@ def find_in_blocks(
     result, fields, notes = find_result(
         goal, request, lambda: results, partial(_sample, work), files, progress, max_memory
     )
-    return Done(result.work, run.kept, (result.level,), fields, notes)
+    prepared = partial(files.prepared, result)
+    return Done(result.work, run.kept, (result.level,), fields, notes, prepared)
 
 
 def _sample(work: Work) -> Splats:
@@ -100,6 +111,8 @@ class JobFiles:
     max_memory: int | None
     work: Work
     clock: StageClock
+    # The latest result and degree that were measured unpacked, and their PSNR and SSIM.
+    _measured: tuple[tuple[int, int], tuple[float, float]] | None = None
 
     @cached_property
     def views(self) -> SelectionViews:
@@ -117,20 +130,58 @@ class JobFiles:
         """Return the number of splats of a result."""
         return result.work.target(result.level)
 
+    def rounded(
+        self, result: Result, options: Mapping[str, Any], size: int | None = None
+    ) -> Result:
+        """Return a result that is rounded when it is written; see `Files.rounded`."""
+        if size is None or self._curvatures(result) is None:
+            return replace(result, rounding=Rounding(options, 1.0))
+        return fill_by_rounding(partial(self._packed, result, options), size)[0]
+
+    def bytes_of(self, result: Result, options: Mapping[str, Any], size: int | None = None) -> int:
+        """Return the size of a result's file, bytes; see `Files.bytes_of`."""
+        packed = partial(self._packed, result, options)
+        if size is None or self._curvatures(result) is None:
+            return packed(1.0)[1]
+        return fill_by_rounding(packed, size)[1]
+
+    def _packed(
+        self, result: Result, options: Mapping[str, Any], coarseness: float
+    ) -> tuple[Result, int]:
+        """Write a result that is rounded; return it and the bytes of its file."""
+        made = replace(result, rounding=Rounding(options, coarseness))
+        with (
+            self.clock.time("encode"),
+            result_of(made.work, made.level) as source,
+            self.written(self.prepared(made, source), options) as path,
+        ):
+            return made, bytes_on_disk(path)
+
+    def _curvatures(self, result: Result) -> Curvatures | None:
+        """Return how much a result's values show, if it may be held whole to be rounded."""
+        sought, count = self.work.settings.search, self.count(result)
+        fits = sought is None or sought.most is None or count <= sought.most
+        quantises = registry.writable(self.output).quantisation is not None
+        return read_curvatures(result.work, result.level) if fits and quantises else None
+
+    def prepared(self, result: Result, source: Source) -> Source:
+        """Return what is written of a result: itself, or its values as they are rounded.
+
+        Args:
+            result: The result.
+            source: Its splats, in the frame that was asked for.
+        """
+        if result.rounding is None or (curvatures := self._curvatures(result)) is None:
+            return source
+        options, coarseness = result.rounding
+        given = {**self.given, **options}
+        return InMemory(economical(source.load(), curvatures, self.output, given, coarseness))
+
     def sample_bytes(self, some: Splats, options: Mapping[str, Any]) -> int:
         """Return the size of a file of some splats, bytes, in the frame that was asked for."""
         given, frame = {**self.given, **options}, self.work.settings.frame
         with self.clock.time("encode"):
             return encoded_bytes(turned(some, frame), self.output, given)
-
-    def bytes_of(self, result: Result, options: Mapping[str, Any]) -> int:
-        """Return the size of a result's file, bytes."""
-        with (
-            self.clock.time("encode"),
-            result_of(result.work, result.level) as source,
-            self.written(source, options) as path,
-        ):
-            return bytes_on_disk(path)
 
     def shows(self) -> bool:
         """Whether the views to choose by show the original."""
@@ -149,13 +200,18 @@ class JobFiles:
                 size = bytes_on_disk(path)
             file = opened_files.enter_context(open_model(path))
             with self.clock.time("measure"):
-                psnr, ssim = self.views.judge(turned_back(file, result))
-        return PackingReport(sh_degree, options, self.count(result), size, psnr, ssim)
+                found = self.views.judge(turned_back(file, result))
+                if self._measured is None or self._measured[0] != (result.level, sh_degree):
+                    before = self.views.judge(turned_back(bare, result))
+                    self._measured = (result.level, sh_degree), before
+                before = self._measured[1]
+        return PackingReport(sh_degree, options, self.count(result), size, *found, *before)
 
     @contextmanager
     def stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
         """Open a result as its file holds or shows it; see `Files.stored`."""
         known = registry.writable(self.output)
+        made = replace(result, rounding=Rounding(options, 1.0))
         with result_of(result.work, result.level) as source:
             if known.suffix == ".ply":
                 yield turned_back(source, result)
@@ -164,7 +220,8 @@ class JobFiles:
                 self._refuse_large(source, options)
                 yield turned_back(InMemory(known.shown(source.load())), result)
                 return
-            with self.written(source, options) as path, open_model(path) as file:
+            small = self.prepared(made, source)
+            with self.written(small, options) as path, open_model(path) as file:
                 yield turned_back(file, result)
 
     @contextmanager

@@ -1,8 +1,8 @@
 """Results of any count of a scene in blocks; a resumed run reuses their stored measurements."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Any, NamedTuple, Self
 
 from nanogs.errors import OutputError
 from nanogs.pipeline.estimates.durations import result_stages
@@ -17,6 +17,13 @@ from nanogs.progress import Stage, Tracker
 MEASURED, COUNT, VALUE = "measured", "count", "value"  # names in the job's tables
 
 
+class Rounding(NamedTuple):
+    """Rounding by rate and distortion: the format's options, and the coarseness."""
+
+    options: Mapping[str, Any]
+    coarseness: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
     """A result of a job in blocks, stored in the job's files.
@@ -24,10 +31,12 @@ class Result:
     Attributes:
         work: The job, with the settings of this result.
         level: Number of the level that is this result.
+        rounding: How its values are rounded before it is written; None if to the nearest.
     """
 
     work: Work
     level: int
+    rounding: Rounding | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -73,6 +82,11 @@ class JobResults(Results[Result]):
     def looks(self) -> bool:
         """Whether a result takes rendering; see `Results`."""
         return self.work.looks
+
+    @property
+    def fits(self) -> bool:
+        """Whether results are fitted; see `Results.fits`."""
+        return self.looks and self.settings.parameters.steps > 0
 
     def changed(self, change: Callable[[Settings], Settings]) -> Self:
         """Return results with other settings; see `Results.changed`."""

@@ -1,5 +1,6 @@
 """How the file of a result is packed: SH degree, palette size and bits, and what may be chosen."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,6 +17,8 @@ LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
 # more bits, and the most bits. The finest of each kind gains least.
 LARGER_PALETTE, OWN_HARMONICS = 0.77, 0.92
 MORE_BITS, MOST_BITS = 0.7, 0.88
+# Share of the error of a result that is only compared which would be left after a whole fit.
+LEFT = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,12 +112,21 @@ class Choices:
         return Packing(self.degrees[-1], palette, bits, self.entries)
 
     def quality(self, found: PackingReport) -> float:
-        """Return the quality of a file, dB."""
-        return found.psnr if self.by_psnr else quality(found.psnr, found.ssim)
+        """Return the quality of a file as it would be after a whole fit, dB."""
+        loss = self.loss(found)
+        return -10 * math.log10(loss) if loss > 0 else math.inf
 
     def loss(self, found: PackingReport) -> float:
-        """Return the quality of a file as an error like the mean squared error of its PSNR."""
-        return 10 ** (-self.quality(found) / 10)
+        """Return the same as an error, like the mean squared error of a PSNR.
+
+        A whole fit diminishes the error of the result, but not what packing adds.
+        """
+        packed = self._loss(found.psnr, found.ssim)
+        unpacked = min(self._loss(found.unpacked_psnr, found.unpacked_ssim), packed)
+        return packed - (1 - LEFT) * unpacked
+
+    def _loss(self, psnr: float, ssim: float) -> float:
+        return math.pow(10, -(psnr if self.by_psnr else quality(psnr, ssim)) / 10)
 
     @property
     def any(self) -> bool:

@@ -197,7 +197,8 @@ def search_psnr(pack: PackingForPsnr[T], asked: float, views: HeldOut) -> Delive
         pack.packed = None
     results.verify(result, progress)
     fields = {"probes": found.probes, "stop": found.stop, "judged": measured(result, views.judge)}
-    return Delivered(result, fields | pack.report_fields(result), pack.notes)
+    fields |= pack.report_fields(result)
+    return Delivered(files.rounded(result, pack.options(result)), fields, pack.notes)
 
 
 def reach_psnr(

@@ -38,6 +38,10 @@ class Results(Protocol[T]):
         Quick results then lead the search.
         """
 
+    @property
+    def fits(self) -> bool:
+        """Whether results are fitted, so that it is known how much their values show."""
+
     def changed(self, change: Callable[[Settings], Settings]) -> Self:
         """Return a maker of results with other settings.
 
@@ -177,6 +181,11 @@ class HeldResults(Results[Outcome]):
     def looks(self) -> bool:
         """Whether making a result includes rendering; see `Results.looks`."""
         return self.scene.looks
+
+    @property
+    def fits(self) -> bool:
+        """Whether results are fitted; see `Results.fits`."""
+        return self.looks and self.scene.settings.parameters.steps > 0
 
     def changed(self, change: Callable[[Settings], Settings]) -> Self:
         """Return a maker of results with other settings; see `Results.changed`."""

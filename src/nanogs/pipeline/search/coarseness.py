@@ -1,0 +1,45 @@
+"""Search for the coarseness of rounding with which a file fills a size."""
+
+import math
+from collections.abc import Callable
+from typing import TypeVar
+
+from nanogs.pipeline.search.file_size import AIM, ENOUGH
+
+MOST_TRIED = 4
+# A coarseness is at most this, and at least its inverse. Within these limits more splats and finer
+# values gain about the same for each byte.
+COARSEST = 2.0
+# How the logarithm of the bytes falls with that of the coarseness: at first, and at least.
+SLOPE, LEAST_SLOPE = 0.05, 0.02
+
+T = TypeVar("T")
+
+
+def fill_by_rounding(packed: Callable[[float], tuple[T, int]], size: int) -> tuple[T, int]:
+    """Round a result more finely or more coarsely, until its file takes most of a size.
+
+    That is quick, while another count would need another fit.
+
+    Args:
+        packed: Rounds a result with a coarseness (see `nanogs.io.economical`); returns it and the
+            bytes of its file.
+        size: Bytes that the file may have.
+
+    Returns:
+        The result and its bytes: with a coarseness of 1 if none fills the size.
+    """
+    usual = found = packed(1.0)
+    place, slope = 0.0, SLOPE  # the logarithm of the coarseness
+    for _ in range(MOST_TRIED):
+        if ENOUGH * size <= found[1] <= size:
+            return found
+        wanted = place + math.log(found[1] / (AIM * size)) / slope
+        end = math.log(COARSEST)
+        following = min(max(wanted, -end), end)
+        if following == place:
+            break
+        before, found = found, packed(math.exp(following))
+        slope = max(math.log(before[1] / found[1]) / (following - place), LEAST_SLOPE)
+        place = following
+    return found if ENOUGH * size <= found[1] <= size else usual
