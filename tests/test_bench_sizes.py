@@ -175,6 +175,10 @@ def test_gains_on_photographs_are_named_so():
             rows_of("ours", (30, 29, 31, 32)),
             "no BD-rate, because a larger file has a lower PSNR (a).",
         ),
+        (
+            rows_of("ours", (30, 29, 31, 32), share=0.01),
+            "no BD-rate, because a larger file has a lower PSNR (a).",
+        ),
     ],
 )
 def test_a_missing_figure_is_explained_in_table_and_page(ours, explanation):

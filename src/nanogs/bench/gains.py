@@ -176,6 +176,7 @@ def _remarks(anchor: Curve, test: Curve, figures: Mapping[str, float | None]) ->
     missing = [name for name, figure in figures.items() if figure is None]
     if missing and min(len(anchor), len(test)) < 2:
         return ("no figures, because they need at least two sizes of each method",)
-    if missing == ["PSNRs"] and not (rises(anchor) and rises(test)):
-        return ("no BD-rate, because a larger file has a lower PSNR",)
-    return tuple(f"the curves share no {name}" for name in missing)
+    reasons = {name: f"the curves share no {name}" for name in missing}
+    if "PSNRs" in reasons and not (rises(anchor) and rises(test)):
+        reasons["PSNRs"] = "no BD-rate, because a larger file has a lower PSNR"
+    return tuple(reasons.values())
