@@ -134,6 +134,12 @@ def test_volumes_are_capped_at_the_90th_percentile_without_overflow():
     assert (volumes[1:9] < 1).all()
 
 
+def test_flat_splats_have_no_volume():
+    splats = random_splats(11)
+    splats.log_scales[:, 2] = -np.inf
+    assert normalised_volumes(splats, np.ones(11, dtype=bool)).tolist() == [0] * 11
+
+
 def test_significance_needs_a_view():
     with pytest.raises(OptionError, match="at least one camera"):
         view_contributions(random_splats(3), ())
