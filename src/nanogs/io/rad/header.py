@@ -246,7 +246,7 @@ def _chunk(section: Section, base: int, count: int, palette: bool) -> Chunk:
     _check_version(data, where)
     if integer(data.get("base"), f"{where}, base", 0, _MAX_ROWS) != base:
         raise damaged(where, f"a chunk does not begin with row {base:,}")
-    held = integer(data.get("count"), f"{where}, count of a chunk", 1, count - base or 1)
+    held = integer(data.get("count"), f"{where}, count of a chunk", 1, count)
     with reading(section.path) as file:
         file.seek(section.start + end)
         length = file.read(PAYLOAD.size)

@@ -109,7 +109,6 @@ def _bytes(column: Property, expected: int) -> U8:
     with reading(section.path) as file:
         file.seek(section.start)
         data = file.read(section.size)
-    whole = True
     if column.packed:
         inflate = zlib.decompressobj(-zlib.MAX_WBITS)
         try:
@@ -118,9 +117,7 @@ def _bytes(column: Property, expected: int) -> U8:
             raise FormatError(
                 f"{column.where} is damaged ({error}); export or download it again."
             ) from None
-        # After the last byte of output, the end-of-block code may still have to be consumed.
-        whole = inflate.eof or not inflate.decompress(inflate.unconsumed_tail, 1)
-    if len(data) != expected or not whole:
+    if len(data) != expected:
         raise FormatError(
             f"{column.where} does not hold the {expected:,} bytes that its rows take; export or"
             " download it again."
