@@ -131,6 +131,21 @@ def test_palettes_of_harmonics_are_read(tmp_path):
     np.testing.assert_array_equal(read(tmp_path, data).sh[:, 1:], entries[labels])
 
 
+def test_the_palette_in_the_first_chunk_is_that_of_all_chunks(tmp_path):
+    entries = np.random.default_rng(0).normal(size=(3, 9)).astype(np.float32)
+    palette, labels = column("sh1_code", "f32", by_component(entries)), [[2, 0], [1, 2, 2]]
+    labelled = [
+        [*typical_columns(len(own))[0], column("sh_label", "u16", by_component(own, "<u2"))]
+        for own in labels
+    ]
+    parts = [chunk([*labelled[0], palette], 2), chunk(labelled[1], 3, base=2)]
+    model = read(tmp_path, rad(parts, 5, maxSh=1, shCodeCount=3))
+    np.testing.assert_array_equal(model.sh[:, 1:].reshape(5, 9), entries[[2, 0, 1, 2, 2]])
+    parts[1] = chunk([*labelled[1], palette], 3, base=2)
+    with pytest.raises(FormatError, match="sh1_code must not be in this chunk"):
+        read(tmp_path, rad(parts, 5, maxSh=1, shCodeCount=3))
+
+
 def test_uncompressed_columns_and_gaps_between_chunks_are_read(tmp_path):
     first, _ = typical_columns(3, seed=1)
     second, expected = typical_columns(2, seed=2)
@@ -164,6 +179,15 @@ def test_chunks_in_separate_files_are_read(tmp_path):
         read(tmp_path, parts[0], "b.rad")
 
 
+def test_a_model_may_be_large_for_the_file_that_names_its_chunks(tmp_path, monkeypatch):
+    monkeypatch.setattr("nanogs.io.files._SMALL_MODEL", 0)
+    columns, expected = typical_columns(2000)
+    (tmp_path / "a-0.radc").write_bytes(chunk(columns, 2000))
+    entries = [{"offset": 0, "bytes": 1, "filename": "a-0.radc"}]
+    model = read(tmp_path, rad([], 2000, chunks=entries))
+    np.testing.assert_array_equal(model.means, expected["center"])
+
+
 # ---- trees
 
 
@@ -174,19 +198,27 @@ def test_a_tree_is_read_as_its_leaves(tmp_path):
     info = io.inspect(tmp_path / "a.rad")
     assert (info.splats, info.format, info.encoding) == (5, "rad", "deflate")
     source = io.open(tmp_path / "a.rad")
+    assert source.files == (tmp_path / "a.rad",)
     np.testing.assert_array_equal(source.read(1, 4).means, model.means[1:4])
 
 
 def test_alphas_above_1_are_opaque_and_larger(tmp_path):
     """As Spark draws them with `lodInflate`; an alpha rounded to just above 1 is only opaque."""
-    alphas = by_component([[0.5], [1.0039], [1.5]])
-    model = read(tmp_path, rad([chunk(replaced(3, column("alpha", "f32", alphas)), 3)], 3))
-    plain = typical_columns(3)[1]["scales"]
-    factor = np.exp((3**2 - 1) / np.e) ** (1 / 3)
-    np.testing.assert_allclose(model.scales() / plain, np.array([[1], [1], [factor]]) * np.ones(3),
-                               rtol=1e-5)  # fmt: skip
-    assert model.opacity_logits.tolist() == [0, np.inf, np.inf]
-    assert "1 splat has an alpha above 1" in " ".join(model.notes)
+    alphas = by_component([[0.5], [1.0039], [1.5], [2], [9]])
+    model = read(tmp_path, rad([chunk(replaced(5, column("alpha", "f32", alphas)), 5)], 5))
+    plain = typical_columns(5)[1]["scales"]
+    large, largest = (np.exp((a**2 - 1) / np.e) ** (1 / 3) for a in (3, 5))
+    factors = np.array([[1], [1], [large], [largest], [largest]])
+    np.testing.assert_allclose(model.scales() / plain, factors * np.ones(3), rtol=1e-5)
+    assert model.opacity_logits.tolist() == [0, *[np.inf] * 4]
+    assert "3 splats have an alpha above 1" in " ".join(model.notes)
+
+
+def test_negative_scales_become_nan_and_are_counted(tmp_path):
+    scales = by_component([[1, 1, 1], [1, -1, 1], [-1, -1, -1]])
+    model = read(tmp_path, rad([chunk(replaced(3, column("scales", "f32", scales)), 3)], 3))
+    assert np.isnan(model.log_scales).sum(axis=1).tolist() == [0, 1, 3]
+    assert model.notes == ("2 splats have a negative scale, which became NaN.",)
 
 
 def test_notes_on_a_chunk_are_counted_once(tmp_path):
@@ -351,6 +383,11 @@ REFUSED = {
     "beyond the file": (
         lambda h, p, c: h.update(chunks=[{"offset": 8, "bytes": 900}]), "outside of the file",
     ),
+    "chunks in one place": (
+        lambda h, p, c: h.update(chunks=[{"offset": 0, "bytes": 99}] * 2), "or in another chunk",
+    ),
+    "columns in one place": (lambda h, p, c: c[1][0].update(offset=0), "or in another property"),
+    "palette": (lambda h, p, c: h.update(maxSh=1, shCodeCount=5), "shCodeCount"),
     "the chunk's rows": (lambda h, p, c: p.update(count=3), "hold 3 of 4 rows"),
     "the chunk's place": (lambda h, p, c: p.update(base=1), "begin with row 0"),
     "payload": (lambda h, p, c: p.update(payloadBytes=8), "two sizes"),

@@ -433,6 +433,7 @@ def tree_file(counts, starts):
         ([2, 2, 0, 0], [1, 2, 0, 0], "several parents, or none"),
         ([1, 0, 1, 1], [1, 0, 3, 2], "comes before its parent"),
         ([1, 0, 2, 0], [3, 0, 1, 0], "comes before its parent"),
+        ([0, 1, 2, 0], [0, 1, 2, 0], "comes before its parent"),
         ([3, 0, 0, 0], [2, 0, 0, 0], "several parents, or none"),
     ],
 )
