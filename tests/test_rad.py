@@ -359,6 +359,19 @@ def test_octahedral_points_of_axes_give_the_axes_back():
     points = values.octahedral_points(axes)
     assert np.abs(points).max() <= 1
     np.testing.assert_allclose(values.octahedral_axes(points), axes, atol=1e-12)
+    for rounded in (1e-9, -1e-9):  # where two points of the rim stand for one axis
+        points = values.octahedral_points(np.array([[0.5, rounded, -0.5], [rounded, -0.25, -0.75]]))
+        np.testing.assert_allclose(points, [[1, 0.5], [0.75, -1]], atol=1e-8)
+
+
+@pytest.mark.parametrize("largest", [1.0, 4.001, 5.0])
+def test_a_file_that_is_read_and_written_again_keeps_its_bytes(tmp_path, largest):
+    """Coefficients up to 4 are stored as bytes, and 4.001 would be 4 as float16."""
+    model = random_splats(500, degree=2)
+    model.sh[0, 1] = largest
+    io.save(model, tmp_path / "a.rad")
+    io.save(io.load(tmp_path / "a.rad"), tmp_path / "b.rad")
+    assert (tmp_path / "a.rad").read_bytes() == (tmp_path / "b.rad").read_bytes()
 
 
 # ---- what is refused
