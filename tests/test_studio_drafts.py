@@ -17,7 +17,7 @@ from builders import cloud_pair
 from nanogs.io import encoded_bytes, save
 from nanogs.pipeline.options.target import Goal
 from nanogs.studio import asking, showing
-from nanogs.studio.asking import QUICK, TRIES, UNSEEN, RequestHandler
+from nanogs.studio.asking import QUICK, SETTLED, TRIES, UNSEEN, RequestHandler
 from nanogs.studio.cache import FilteredScene, WorkerCache, grown_key
 from nanogs.studio.choice import Choice, FilterChoice, choice_of
 from nanogs.studio.curve import Curve, Point
@@ -46,7 +46,7 @@ class RecordingJob:
         return lambda step: None
 
     def rest(self, model, least, most):
-        self.said.append({"type": "rest", "model": model, "most": most})
+        self.said.append({"type": "rest", "model": model, "least": least, "most": most})
 
     def shielded(self, useful):
         return nullcontext()
@@ -69,7 +69,7 @@ class Forest:
         return drafted
 
     def simplify(self, count, *, progress):
-        return self.draft(count), SimpleNamespace(stop="target", notes=())
+        return self.draft(count), SimpleNamespace(stop="target", notes=("a note",))
 
     def measure(self, splats, **options):
         self.measuring.set()
@@ -142,6 +142,7 @@ def test_a_result_is_sent_once_and_measured_afterwards(answers, forest):
     assert list(made.models) == [made.entry["id"]]
     assert measured.entry == made.entry
     assert measured.models == {}
+    assert job.said[-1]["notes"] == ["a note"]
 
 
 def test_the_worker_waits_until_the_page_has_drawn(answers, forest):
@@ -150,8 +151,8 @@ def test_the_worker_waits_until_the_page_has_drawn(answers, forest):
     job.pace = 0.1
     answers.ask(choice_of({"wish": {"splats": 50}}), job)
     draft, made, _ = (shown.entry for _, shown in job.shown)
-    rests = [(event["model"], event["most"]) for event in job.said if event["type"] == "rest"]
-    assert rests == [(draft["id"], UNSEEN), (made["id"], UNSEEN + 5.0)]
+    rests = [(e["model"], e["least"], e["most"]) for e in job.said if e["type"] == "rest"]
+    assert rests == [(draft["id"], SETTLED, UNSEEN), (made["id"], 0.0, UNSEEN + 5.0)]
 
 
 def test_a_slow_page_gets_drafts_of_fewer_splats(answers, forest, monkeypatch):
@@ -162,10 +163,22 @@ def test_a_slow_page_gets_drafts_of_fewer_splats(answers, forest, monkeypatch):
         job = RecordingJob(number)
         job.pace = pace
         answers.ask(choice_of({"wish": {"splats": 50}}), job)
-        drafted, made = (shown.entry["splats"] for kind, shown in job.shown if kind != "measured")
-        assert made == job.said[0]["splats"] == 50
-        sizes.append(drafted)
+        drafted, made = (shown.entry for kind, shown in job.shown if kind != "measured")
+        assert made["splats"] == drafted["of"] == job.said[0]["splats"] == 50
+        sizes.append(drafted["splats"])
     assert sizes == [50, 50, 40, 10]
+
+
+def test_a_result_that_a_browser_cannot_draw_is_shown_with_fewer_splats(
+    answers, forest, monkeypatch
+):
+    monkeypatch.setattr(asking, "MOST_SHOWN", 30)
+    forest.go_on.set()
+    answers.ask(choice_of({"wish": {"splats": 50}}), job := RecordingJob(1))
+    assert [(kind, shown.entry["splats"], shown.entry["of"]) for kind, shown in job.shown] == [
+        ("draft", 30, 50), ("made", 30, 50), ("measured", 30, 50),
+    ]  # fmt: skip
+    assert job.said[-1]["splats"] == 50
 
 
 def test_a_page_that_shows_another_model_gets_it_and_its_curve_points(answers, forest):
@@ -185,6 +198,27 @@ def test_a_page_that_shows_another_model_gets_it_and_its_curve_points(answers, f
         assert [(event["splats"], event["format"]) for event in points] == [(50, ".ply")] * number
         answers.ask(choice_of(data), again := RecordingJob(number + 2))
         assert "filtered" not in again.events, "that page shows the whole scene"
+
+
+def test_a_page_that_returns_to_another_curve_gets_its_points(answers, forest):
+    forest.go_on.set()
+    curves = {suffix: Curve(400, 1, lambda count: count, exact=True) for suffix in (".ply", ".spz")}
+    answers._cache.curve = lambda choice, grown: curves[choice.format]
+    for number, suffix in enumerate((".ply", ".spz", ".ply", ".ply"), 1):
+        choice = choice_of({"wish": {"splats": 50}, "format": suffix})
+        answers.ask(choice, job := RecordingJob(number))
+        known = ["point"] if number == 3 else []
+        assert job.events == [*known, "draft", "made", "point", "measured"]
+
+
+def test_the_plot_is_filled_with_plain_cuts_of_a_forest_that_is_in_memory(answers, forest):
+    forest.go_on.set()
+    choice = choice_of({"wish": {"splats": 50}})
+    for grown, counts in ((False, []), (True, [20, 4, 80, 200, 40, 8])):
+        answers._cache.is_grown = lambda choice, grown=grown: grown
+        answers.explore(choice, job := RecordingJob(1))
+        points = [(each["splats"], each["kind"]) for each in job.said]
+        assert points == [(count, "coarse") for count in counts]
 
 
 COUNTS = st.integers(1, 10_000)
@@ -212,6 +246,13 @@ def test_estimated_sizes_never_decrease_for_any_measured_sizes(measured, size):
     known = sorted(measured)
     if sorted(measured.values()) == [measured[each] for each in known]:
         assert all(curve.bytes_of(each) == max(measured[each], 1) for each in known)
+
+
+def test_beyond_measured_sizes_the_nearest_one_is_scaled():
+    curve = Curve(1000, 1, lambda n: 10 * n, exact=False)
+    for count, size in ((100, 2000), (200, 3000)):
+        curve.add(Point(count, size, 30.0, coarse=False))
+    assert [curve.bytes_of(count) for count in (50, 100, 200, 400)] == [1000, 2000, 3000, 6000]
 
 
 @given(points=POINTS, count=COUNTS, size=st.integers(1, 10**7), psnr=st.floats(0.1, 90))
@@ -313,6 +354,21 @@ def test_of_several_results_the_one_that_meets_the_psnr_is_shown(answers, forest
     assert job.said[-1]["psnr"] == 31.0
 
 
+@pytest.mark.parametrize(
+    ("marks", "results"),
+    [([30.2], 1), ([31.0, 30.2], 2), ([20.0, 20.0], 2)],
+    ids=["near at once", "near at last", "the whole model is worse"],
+)
+def test_no_more_results_are_made_than_a_psnr_needs(answers, forest, marks, results):
+    forest.go_on.set()
+    left = iter(marks)
+    forest.measure = lambda *_, **__: SimpleNamespace(
+        bytes=10, judged=SimpleNamespace(psnr=next(left), ssim=0.9)
+    )
+    answers.ask(choice_of({"wish": {"psnr": 30.0}}), job := RecordingJob(1))
+    assert job.events == ["draft", *["made", "point"] * results, "measured"]
+
+
 def test_a_model_that_is_too_large_to_be_drawn_keeps_its_harmonics(forest, monkeypatch):
     monkeypatch.setattr(showing, "MOST_SHOWN", 150)
     drawn = showing.few(forest.splats)
@@ -328,14 +384,62 @@ def test_a_curve_keeps_no_model_alive(suffix, tmp_path):
     splats = replace(cloud_pair()[0], comments=("a line",))
     save(splats, path)
     cache = WorkerCache(SimpleNamespace(path=path), StudioSettings())
-    choice = Choice(goal=Goal(count=9), format=suffix, sh_degree=1)
+    choice = Choice(goal=Goal(count=9), format=suffix, sh_degree=0)
     held = weakref.ref(cache.sifted(choice).splats.means)
     curve = cache.curve(choice, Forest(splats))
     cache.forget()
     gc.collect()
     assert held() is None
-    smaller = splats.with_sh_degree(1).take(slice(0, 100))
+    smaller = splats.with_sh_degree(0).take(slice(0, 100))
     assert curve.bytes_of(100) == encoded_bytes(smaller, tmp_path / f"out{suffix}")
+
+
+@pytest.fixture
+def cache(tmp_path):
+    save(cloud_pair()[0], tmp_path / "scene.ply")
+    studio = StudioSettings(threads=2, max_memory=10**9)
+    return WorkerCache(SimpleNamespace(path=tmp_path / "scene.ply"), studio)
+
+
+def test_sizes_are_estimated_from_a_part_of_the_splats(cache, monkeypatch, tmp_path):
+    monkeypatch.setattr("nanogs.studio.cache._SAMPLE", 100)
+    choice = Choice(goal=Goal(count=9), format=".spz")
+    splats = cache.sifted(choice).splats
+    whole = encoded_bytes(splats, tmp_path / "out.spz")
+    assert 0.7 * whole < cache.curve(choice, Forest(splats)).bytes_of(len(splats)) < 1.4 * whole
+
+
+def test_only_the_latest_curves_are_kept(cache, monkeypatch):
+    monkeypatch.setattr("nanogs.studio.cache._CURVES", 2)
+    choices = [Choice(goal=Goal(count=9), format=each) for each in ("meta.json", ".sog", ".ply")]
+    forest = Forest(cache.sifted(choices[0]).splats)
+    folder, file = (cache.curve(choice, forest) for choice in choices[:2])
+    assert folder.bytes_of(100) == file.bytes_of(100)
+    assert cache.curve(choices[0], forest) is folder
+    cache.curve(choices[2], forest)
+    assert cache.curve(choices[1], forest) is file
+    assert cache.curve(choices[0], forest) is not folder
+
+
+def test_a_forest_is_grown_as_the_choice_and_the_settings_say(cache, monkeypatch):
+    given = []
+
+    def grow(splats, **options):
+        given.append(options)
+        return Forest(splats)
+
+    monkeypatch.setattr("nanogs.pipeline.grown.grow", grow)
+    data = {"wish": {"splats": 9}, "up": "+z", "sh_degree": 1}
+    fast, best = (choice_of(data | {"preset": preset}) for preset in ("fast", "best"))
+    cache.fully(best, "steps")
+    assert cache.roughly(fast, "steps") is cache.fully(best, "steps"), "any forest gives drafts"
+    cache.forget()
+    cache.roughly(best, "steps")
+    shared = {
+        "sh_degree": 1, "device": "cpu", "threads": 2, "max_memory": 10**9, "progress": "steps",
+    }  # fmt: skip
+    quickest = shared | {"preset": "fast", "up": None}  # it renders nothing, so needs no direction
+    assert given == [shared | {"preset": "best", "up": (0.0, 0.0, 1.0)}, quickest]
 
 
 @pytest.mark.parametrize(
