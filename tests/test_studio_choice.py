@@ -18,7 +18,7 @@ import nanogs
 from builders import random_splats
 from launch import run_here
 from nanogs.datasets.synthetic import make_scene
-from nanogs.errors import OptionError
+from nanogs.errors import NotEnoughMemoryError, OptionError
 from nanogs.frames import change_between, change_frame
 from nanogs.pipeline.job.folder import MANIFEST, job_folder
 from nanogs.pipeline.options.presets import FORESTS
@@ -27,7 +27,7 @@ from nanogs.studio.cache import WorkerCache
 from nanogs.studio.choice import UPS, choice_of
 from nanogs.studio.opening import opened
 from nanogs.studio.orders import LAYOUTS, SaveRequest, refuse_unfit, shown_path
-from nanogs.studio.scene import StudioSettings, scene_of
+from nanogs.studio.scene import StudioSettings, refuse_small_memory, scene_of
 from nanogs.studio.worker import Cancelled
 
 NUMBERS = st.floats(-1e6, 1e6, allow_nan=False) | st.integers(-1000, 1000)
@@ -39,7 +39,7 @@ WISHES = st.one_of(
     st.builds(lambda n: {"bytes": n}, st.integers(1, 10**12)),
     st.builds(lambda n: {"psnr": n}, st.floats(1e-3, 100)),
 )
-FORMATS = [".ply", ".sog", ".spz", ".glb", ".splat", ".compressed.ply", ".npz"]
+FORMATS = [".ply", ".sog", ".spz", ".glb", ".splat", ".compressed.ply", ".npz", ".rad"]
 FILTERS = st.fixed_dictionaries(
     {}, optional={
         "box": st.none() | BOXES,
@@ -104,9 +104,9 @@ def test_the_shown_command_makes_the_same_request_as_the_studio(scene, data, mon
         choice = choice_of(data)
         path = scene.path.parent / shown_path(scene, choice)
         order = SaveRequest(scene, StudioSettings(), choice, path)
-    except OptionError as error:
-        unfit = "SH degree" in str(error)
-        assume(not unfit)
+    except OptionError:
+        fast = data.get("preset") == "fast"
+        assume(not (fast and "psnr" in data["wish"] and data.get("sh_degree") is not None))
         raise
     words = shlex.split(order.command())
     assert words == order.words()
@@ -240,9 +240,35 @@ def test_each_up_has_a_frame_that_rotates_it_upwards(up):
     assert turning.up_of(turning.direction_of(up)) == up
 
 
+def test_the_whole_scene_may_be_asked_for(scene):
+    refuse_unfit(scene, choice_of({"wish": {"splats": 60}}))
+
+
+@pytest.mark.parametrize(("up", "frames"), [("-y", None), ("+z", ("rfu", "rdf"))])
+def test_a_file_is_turned_only_if_another_up_is_chosen(scene, up, frames):
+    choice = choice_of({"wish": {"splats": 5}, "up": up, "preset": "fast"})
+    order = SaveRequest(scene, StudioSettings(), choice, Path("a.ply"))
+    assert (scene.up, order.frames) == ("-y", frames)
+
+
+def test_the_settings_of_the_studio_are_part_of_the_command(scene):
+    studio = StudioSettings(device="cuda", max_memory=10**9)
+    order = SaveRequest(scene, studio, choice_of({"wish": {"splats": 5}}), Path("a.ply"), True)
+    given = ["--device", "cuda", "--max-memory", "1000000000", "--overwrite"]
+    assert order.words()[4:] == ["--count", "5", *given]
+
+
 def test_paths_that_look_like_options_are_written_as_paths(scene):
     order = SaveRequest(scene, StudioSettings(), choice_of({"wish": {"splats": 5}}), Path("-w.ply"))
     assert order.words()[3] == "./-w.ply"
+
+
+def test_a_limit_on_memory_must_hold_the_model_but_not_all_of_its_forest(scene):
+    large = dataclasses.replace(scene, splats=10**7)  # of 92 bytes each
+    refuse_small_memory(large, StudioSettings(max_memory=1_130_000_000))
+    refuse_small_memory(dataclasses.replace(scene, splats=10**12), StudioSettings())
+    with pytest.raises(NotEnoughMemoryError, match=r"a scene\.ply takes about .* in the studio"):
+        refuse_small_memory(large, StudioSettings(max_memory=1_129_000_000))
 
 
 def test_the_studio_refuses_the_preset_paper():
