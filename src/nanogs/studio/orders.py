@@ -59,9 +59,7 @@ class SaveRequest:
         found = registry.find(self.path)
         if found is None or found.suffix != known:
             raise OptionError(f"{self.path} is not the name of a {known} file; name another one.")
-        if self.choice.levels is None:
-            registry.writable(self.path)
-        else:
+        if self.choice.levels is not None:
             self.output  # noqa: B018 - raises if the name is not one of a layout of levels
 
     @property
