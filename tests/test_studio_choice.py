@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 import nanogs
@@ -96,6 +96,8 @@ def comparable(request):
 
 @settings(max_examples=60, deadline=None)
 @given(data=CHOICES)
+@example(data={"wish": {"psnr": 30.0}, "sh_degree": 4, "preset": "best"})
+@example(data={"wish": {"splats": 9}, "format": ".rad"})
 def test_the_shown_command_makes_the_same_request_as_the_studio(scene, data, monkeypatch_module):
     data = dict(data)
     if data.get("levels"):
@@ -230,6 +232,30 @@ def opening_of(path, **given):
     event, start, _ = opened(scene_of(path), StudioSettings(**given), nanogs.load(path))
     assert event["camera"]["up"] == start.up.tolist()
     return event["up"], tuple(start.up), event["can_turn"]
+
+
+def test_a_page_opens_with_what_it_needs_of_a_large_model_with_damaged_splats(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr("nanogs.studio.showing.MOST_SHOWN", 30)
+    splats = random_splats(60, degree=0)
+    splats.means[7, 1] = np.nan
+    nanogs.save(splats, tmp_path / "a.ply")
+    event, _, shown = opened(scene_of(tmp_path / "a.ply"), StudioSettings(), splats)
+    assert (event["splats"], event["available"]) == (60, 59)
+    assert (shown.entry["splats"], shown.entry["of"]) == (30, 60)
+    whole = np.delete(splats.means, 7, axis=0)
+    assert event["bounds"]["low"] == whole.min(axis=0).tolist()
+    assert event["bounds"]["high"] == whole.max(axis=0).tolist()
+    assert {"meta.json", ".ply"} <= {*event["formats"]}
+    assert ".ksplat" not in event["formats"]
+
+
+def test_up_of_a_studio_is_along_an_axis():
+    assert turning.axis_of((0.0, 0.0, -2.0)) == "-z"
+    for tilted in ((0.0, 1.0, 1.0), (0.0, 0.0, 0.0)):
+        with pytest.raises(OptionError, match="must be an axis"):
+            turning.axis_of(tilted)
 
 
 @pytest.mark.parametrize("up", UPS)

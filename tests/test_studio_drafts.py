@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from builders import cloud_pair
+from nanogs.activations import SH_C0
 from nanogs.io import encoded_bytes, save
 from nanogs.pipeline.options.target import Goal
 from nanogs.studio import asking, showing
@@ -373,8 +374,19 @@ def test_a_model_that_is_too_large_to_be_drawn_keeps_its_harmonics(forest, monke
     monkeypatch.setattr(showing, "MOST_SHOWN", 150)
     drawn = showing.few(forest.splats)
     assert np.array_equal(drawn.sh, forest.splats.sh[::3])
-    shown = showing.show(drawn, opening_for(forest.splats), 400)
+    start = opening_for(forest.splats)
+    shown = showing.show(drawn, start, 400)
     assert (shown.entry["splats"], shown.entry["of"]) == (134, 400)
+    assert shown.entry["note"].startswith("134 splats are drawn in place of 400, because a browser")
+    assert showing.show(drawn, start, 134).entry["note"] is None
+
+
+def test_splats_to_be_removed_are_magenta_in_a_reduced_model_too(forest, monkeypatch):
+    monkeypatch.setattr(showing, "MOST_SHOWN", 150)
+    stays = np.random.default_rng(0).random(400) < 0.5
+    colours = showing.marked(forest.splats, stays).sh[:, 0] * SH_C0 + 0.5
+    magenta = np.isclose(colours, (1, 0, 1), atol=1e-6).all(axis=1)
+    assert magenta.tolist() == (~stays[::3]).tolist()
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".glb", ".npz", ".compressed.ply", ".splat"])
