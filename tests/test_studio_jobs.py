@@ -13,11 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nanogs import cleanup
-from nanogs.studio import supervisor
+from nanogs.errors import NanogsError
+from nanogs.progress import Step
+from nanogs.studio import supervisor, worker
+from nanogs.studio.choice import choice_of
 from nanogs.studio.jobs import Job, Queue
 from nanogs.studio.process import Process
 from nanogs.studio.supervisor import WorkerSupervisor
-from nanogs.studio.worker import Inbox
+from nanogs.studio.worker import Cancelled, Inbox, WorkerChannel
 
 OPEN_FILES = Path("/proc/self/fd")
 KINDS = ("ask", "save", "curve")
@@ -82,6 +85,9 @@ def test_pages_take_turns():
         served.append((job.kind, job.page))
         queue.done()
     assert served == [("open", ""), ("ask", "a"), ("ask", "b"), ("save", "a")]
+    queue.put(Job("ask", "c"))
+    queue.put(Job("open"))  # of a new worker, which can do nothing before
+    assert queue.next().kind == "open"
 
 
 def test_the_page_that_was_served_the_longest_ago_is_next():
@@ -171,6 +177,7 @@ def test_a_job_waits_until_its_model_was_drawn():
         threading.Timer(0.1, tell, ("seen", ("a", "new", 2e-6))).start()
         assert seconds_of(inbox.rest, job, "new", 0.0, 60.0) < 30
         assert 0.1 <= seconds_of(inbox.rest, job, "new", 0.1, 60.0) < 30, "seen, but not settled"
+        tell("seen", ("b", "newer", None))
         assert (inbox.pace("a"), inbox.pace("b"), inbox.pace("c")) == (2e-6, 1e-6, None)
         threading.Timer(0.1, tell, ("cancel", (later.id, None))).start()
         assert seconds_of(inbox.rest, later, "newer", 60.0, 60.0) < 30
@@ -191,6 +198,87 @@ def test_a_request_may_be_cancelled_while_records_of_older_ones_are_removed():
         inbox.begin(Job("ask", "a", 7))
         cancelling.join(20)
         assert dict(inbox._dropped.items()) == {9: None}
+
+
+def test_a_job_that_was_cancelled_before_it_began_stays_cancelled():
+    with listening_inbox() as (inbox, tell):
+        job = Job("ask", "a")
+        tell("cancel", (job.id - 1, None))
+        tell("cancel", (job.id, None))
+        inbox.begin(job)
+        assert list(inbox._dropped) == [job.id]
+
+
+def test_only_a_newer_choice_gets_its_draft_early():
+    with listening_inbox() as (inbox, tell):
+        newer = Job("ask", "a")
+        for number, job in enumerate((Job("save", "b"), newer, None)):
+            tell("cancel", (number, job))
+        assert [inbox.successors.get() for _ in range(inbox.successors.qsize())] == [newer]
+
+
+@pytest.fixture
+def channel():
+    """A channel of a job, the messages that it sends, and a function that cancels the job."""
+    sent, job = [], Job("ask", "a", 7)
+    with listening_inbox() as (inbox, tell):
+        channel = WorkerChannel(SimpleNamespace(send=sent.append), inbox, job)
+        yield channel, sent, lambda successor: tell("cancel", (job.id, successor))
+
+
+def test_progress_is_sent_now_and_then_and_for_each_new_stage(channel, monkeypatch):
+    channel, sent, _ = channel
+    monkeypatch.setattr(worker, "EVERY", 1e9)
+    on_step = channel.progress("draft")
+    for stage, fraction in (("graph", 0.1), ("graph", 0.2), ("cut", 0.3)):
+        on_step(Step(stage, 1, 2, 0, 1, fraction))
+    shared = {"type": "progress", "number": 7, "kind": "draft"}
+    assert sent == [
+        ("event", "a", shared | {"stage": "graph", "fraction": 0.1}, {}),
+        ("event", "a", shared | {"stage": "cut", "fraction": 0.3}, {}),
+    ]
+
+
+def test_points_of_the_plot_belong_to_no_request(channel):
+    channel, sent, _ = channel
+    for kind in ("point", "draft"):
+        channel({"type": kind})
+    assert [message[2] for message in sent] == [{"type": "point"}, {"type": "draft", "number": 7}]
+
+
+def test_work_that_serves_a_newer_request_is_finished_first(channel):
+    channel, _, cancel = channel
+    choice, done = choice_of({"wish": {"splats": 5}}), []
+    cancel(Job("ask", "a", 8, choice))
+
+    def work(name, useful):
+        with channel.shielded(useful):
+            channel.check()
+            done.append(name)
+
+    for name, useful in (("useful", lambda newer: newer is choice), ("useless", lambda _: False)):
+        with pytest.raises(Cancelled):
+            work(name, useful)
+    assert done == ["useful"]
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (NanogsError("It is empty."), "It is empty."),
+        (MemoryError(), "Memory ran out; free some and try again."),
+        (OSError(28, "The disk is full", "a.ply"), "a.ply: The disk is full."),
+        (OSError("It is gone"), "The scene: It is gone."),
+    ],
+)
+def test_an_error_of_a_job_is_reported_to_its_page(channel, error, message):
+    channel, _, _ = channel
+
+    def do(*_):
+        raise error
+
+    outcome = worker._outcome(SimpleNamespace(do=do), Job("ask", "a"), channel)
+    assert outcome == ("failed", {"type": "failed", "message": message})
 
 
 class SlowToEnd:
@@ -262,6 +350,77 @@ def test_a_worker_that_is_being_ended_gets_no_other_job(workers):
     assert [job.kind for job in workers[0].jobs] == ["open", "ask"]
     assert [job.kind for job in workers[1].jobs] == ["open", "save"]
     assert [(event["type"], event["number"]) for event in told] == [("cancelled", 1)]
+
+
+def test_a_worker_knows_the_newest_request_that_replaces_its_job(workers, monkeypatch):
+    monkeypatch.setattr(supervisor, "PATIENCE", 60)
+    first, second, third = (Job("ask", "a", number) for number in (1, 2, 3))
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda page, event, models: None)
+        supervisor.put(first)
+        await workers[0].say("done", "done", None)
+        supervisor.put(second)
+        supervisor.put(third)
+        supervisor.cancel("a")
+
+    asyncio.run(session())
+    told = [*dict.fromkeys(workers[0].others)]
+    assert told == [(first.id, second), (first.id, third), (first.id, None)]
+
+
+def test_the_plot_is_not_filled_for_a_page_that_is_left_or_a_request_that_failed(
+    workers, monkeypatch
+):
+    monkeypatch.setattr(supervisor, "PATIENCE", 60)
+    told = []
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda page, event, _: told.append(event))
+        supervisor.put(Job("ask", "a", 1))
+        await workers[0].say("done", "done", None)
+        await workers[0].say("done", "done", None)
+        supervisor.cancel("a", "ask", "filter", "curve")
+        await workers[0].say("done", "cancelled", {"type": "cancelled"})
+        supervisor.put(Job("ask", "a", 2))
+        await workers[0].say("done", "failed", {"type": "failed"})
+
+    asyncio.run(session())
+    assert [job.kind for job in workers[0].jobs] == ["open", "ask", "curve", "ask"]
+    assert [(event["type"], event["number"]) for event in told] == [("failed", 2)]
+
+
+def test_filling_the_plot_goes_on_after_another_job(workers, monkeypatch):
+    monkeypatch.setattr(supervisor, "PATIENCE_REPLACED", 60)
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda page, event, models: None)
+        supervisor.put(Job("ask", "a", 1))
+        await workers[0].say("done", "done", None)
+        await workers[0].say("done", "done", None)
+        supervisor.put(Job("save", "b", 1))
+        await workers[0].say("done", "cancelled", {"type": "cancelled"})
+        await workers[0].say("done", "done", None)
+
+    asyncio.run(session())
+    assert [job.kind for job in workers[0].jobs] == ["open", "ask", "curve", "save", "curve"]
+
+
+def test_no_job_is_done_for_a_scene_that_could_not_be_opened(workers):
+    told = []
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda page, event, _: told.append(event))
+        supervisor.put(Job("ask", "a", 1))
+        workers[0].may_end.set()
+        await workers[0].say("done", "failed", {"type": "failed"})
+        assert workers[0].ending.is_set()
+
+    asyncio.run(session())
+    assert [(event["kind"], event["type"]) for event in told] == [
+        ("open", "failed"), ("ask", "cancelled"),
+    ]  # fmt: skip
+    assert [job.kind for job in workers[0].jobs] == ["open"]
 
 
 def test_cancelling_while_a_worker_is_being_ended_does_not_end_the_next(workers, monkeypatch):
