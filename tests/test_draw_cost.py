@@ -22,7 +22,7 @@ from nanogs.scoring.view_sets import view_sets
 from nanogs.splats import RenderMode
 from nanogs.views import covering
 from nanogs.views.automatic import automatic_cameras
-from nanogs.views.costing import protocol_of
+from nanogs.views.costing import pictures_of, protocol_of
 from nanogs.views.covering import cost_on
 from nanogs.views.plan import LEAST
 from reference_raster import ROUNDING_MARGIN, splat_on_screen
@@ -146,6 +146,12 @@ def test_a_model_out_of_view_costs_nothing():
     assert (cost.splats_a_pixel, cost.most_a_pixel, cost.tile_pairs, cost.largest_share) == (
         0.0, 0, 0.0, 0.0,
     )  # fmt: skip
+
+
+def test_given_views_have_no_split_and_the_largest_decides_on_the_memory():
+    cameras = [make_camera(), replace(make_camera(), width=300, height=200)]
+    assert pictures_of(cameras, 8, 512) == (60_000, 2)
+    assert (protocol_of(cameras, "given").split, protocol_of(cameras, "auto").split) == (None, "test")
 
 
 def test_impossible_arguments_are_refused(tmp_path):

@@ -23,6 +23,7 @@ from nanogs.cli.app import app
 from nanogs.errors import ModelError, OptionError
 from nanogs.protocol import Judged, Protocol
 from nanogs.raster.camera import Camera
+from nanogs.raster.rendering import render
 from nanogs.scoring.run import compare_files
 from nanogs.scoring.viewing import page_path, view_files
 from nanogs.splats import RenderMode
@@ -33,6 +34,7 @@ from nanogs.view.page import Shown, facts_of, render_page
 from nanogs.views.opening import Opening, opening_for
 from nanogs.views.poses import look_at
 from test_cli import assert_refused
+from test_views import cloud, room
 from viewer_bundle import require_bundle
 
 START = Opening(
@@ -122,6 +124,17 @@ def test_unknown_camera_kinds_and_zero_up_vectors_are_refused():
         opening_for(random_splats(10), "orbit", (0, 0, 0))
 
 
+def test_the_first_view_in_a_room_orbits_what_it_looks_at():
+    splats = cloud(room(20_000), size=0.06)
+    start = opening_for(splats, "inside")
+    pose, focal = look_at(start.position, start.target, start.up), 32 / start.lens
+    camera = Camera(64, 64, focal, focal, 32, 32, pose, near=start.near * start.distance)
+    depth = render(splats, camera, depth=True).depth
+    x, y = np.meshgrid(*[(np.arange(64) + 0.5 - 32) / focal] * 2)
+    distances = depth * np.sqrt(1 + x * x + y * y)
+    assert start.distance == pytest.approx(np.median(distances), rel=0.06)
+
+
 # Packing a model
 
 
@@ -185,10 +198,18 @@ def test_notes_name_what_a_page_does_not_show(tmp_path):
     assert any("2dgs" in note for note in pack(surfels, START).notes)
     mip = dataclasses.replace(random_splats(5), render_mode=RenderMode.MIP)
     assert pack(mip, START).mip
+    tiny = random_splats(5, degree=0)
+    tiny.log_scales[:] = -40  # less than a pixel by far, also as the format has it
+    assert pack(tiny, START).notes == ()
     nothing = random_splats(2)
     nothing.means[:] = np.inf
     with pytest.raises(ModelError, match="no finite"):
         pack(nothing, START)
+
+
+def test_a_page_of_the_same_machine_is_compressed_less():
+    splats = random_splats(2000, degree=0)
+    assert len(pack(splats, START).data) < len(pack(splats, START, quick=True).data)
 
 
 # The page
@@ -251,7 +272,8 @@ def test_facts_of_a_model():
 
 def test_a_model_too_large_for_a_browser_is_refused(monkeypatch):
     require_bundle()
-    monkeypatch.setattr(view_page, "MOST_TEXT", 100)
+    # Not the bytes count, but the characters that stand for them.
+    monkeypatch.setattr(view_page, "MOST_TEXT", len(shown_model().packed.data))
     with pytest.raises(ModelError, match=r"a\.ply is too large.*simplify"):
         render_page([shown_model()], START, (0, 0, 0))
 
