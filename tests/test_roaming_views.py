@@ -163,6 +163,33 @@ def test_targets_are_drawn_from_the_light_of_all_cameras_found_so_far():
     assert (next(candidates).target > 0).all()
 
 
+def test_cameras_stay_near_the_model_and_no_target_is_out_of_reach():
+    """The second splat stands for surroundings, the third for a sky, which takes no tries."""
+    places = np.array([[0.0, 0, 0], [2.5, 0, 0], [9.0, 0, 0]])
+    splats = prepare(cloud(places, 0.1))
+    scene = roam.Scene(splats, np.zeros(3), 1.0, np.eye(3), np.array([True, True, False]))
+    known = roam.SearchState(np.array([1.0, 1.0, 98.0]), FreeSpace(splats), [])
+    lens = roam._test_camera(1, 64, 64, 60)
+    found = [*roam._candidates(scene, known, lens, "fit", 300)]
+    assert len(found) > 150
+    assert {candidate.target[0] for candidate in found} == {0.0, 2.5}
+    assert 2 < max(np.linalg.norm(each.camera.position) for each in found) <= roam.AWAY
+
+
+def test_directions_are_uniform_over_the_sphere():
+    draws = (np.indices((40, 40)).reshape(2, -1).T + 0.5) / 40
+    directions = np.array([roam._direction(*draw) for draw in draws])
+    assert np.allclose(np.linalg.norm(directions, axis=1), 1)
+    assert np.allclose(directions.mean(axis=0), 0, atol=1e-9)
+    assert np.allclose(directions.T @ directions / len(draws), np.eye(3) / 3, atol=1e-3)
+
+
+def test_a_model_without_an_extent_has_a_radius():
+    point = cloud(np.zeros((3, 3)))
+    point.log_scales[:] = -np.inf
+    assert roam._scene(point, None).radius == 1
+
+
 def test_views_are_searched_on_the_cpu(monkeypatch):
     pytest.importorskip("warp", reason="pip install 'nanogs[cuda]'")
     used = set()

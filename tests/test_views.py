@@ -7,10 +7,12 @@ from hypothesis import strategies as st
 
 from builders import random_splats
 from conftest import scene_path
+from nanogs.activations import rotation_about
 from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError, OptionError
 from nanogs.raster.rendering import render
 from nanogs.splats import Splats
+from nanogs.views import inside
 from nanogs.views.automatic import automatic_cameras, unit_up
 from nanogs.views.inside import is_room
 from nanogs.views.occupancy import find_core, sample
@@ -188,7 +190,9 @@ def test_rooms_are_seen_from_inside_and_objects_from_outside():
 def test_an_empty_box_and_a_walled_yard_are_no_rooms():
     ground = np.random.default_rng(0).uniform(-1, 1, (15_000, 3)) * (3.0, 0, 2.0) + (0, 1.5, 0)
     yard = np.concatenate([room(), ground])
-    for points, expected in ((room(), True), (room()[:12_000], False), (yard, False)):
+    askew = room() @ rotation_about(1, np.radians(35)).T
+    cases = ((room(), True), (askew, True), (room()[:12_000], False), (yard, False))
+    for points, expected in cases:
         sampled = sample(cloud(points))
         assert is_room(sampled, find_core(sampled), np.array([0.0, -1, 0])) == expected
 
@@ -212,6 +216,26 @@ def test_cameras_inside_look_along_the_room_and_not_at_the_table_before_them():
     model = cloud(room(30_000), size=0.04)
     for camera in automatic_cameras(model, 6, width=64, height=64):
         assert np.median(render(model, camera, depth=True).depth) > 1.5
+
+
+def test_cameras_inside_are_at_eye_level_and_look_a_little_down():
+    box = inside.Box(np.eye(3), np.zeros(3), np.array([4.0, 4.0, 2.0]), np.zeros(6), 0.0)
+    for draw, side, height, pitch in (
+        (0, 0.12, 0.3, -25),
+        (0.5, 0.5, 0.55, -7.5),
+        (1, 0.88, 0.8, 10),
+    ):
+        pose = inside._candidate(box, np.full(5, float(draw)))
+        assert -pose[:3, :3].T @ pose[:3, 3] == pytest.approx([4 * side, 4 * side, 2 * height])
+        assert pose[2, 2] == pytest.approx(np.sin(np.radians(pitch)))
+
+
+def test_views_inside_are_best_if_they_are_deep_and_open_and_nothing_is_very_near():
+    far, near, beyond = 1.0, 0.1, np.inf
+    hits = [[far] * 4, [0.5] * 4, [far, far, far, beyond], [far, far, beyond, beyond]]
+    hits += [[near, far, far, far], [0.3, far, far, far]]
+    scores = inside._scores(np.array(hits), 1.0)
+    assert scores == pytest.approx([1.2, 0.95, 1.2, 1.0, -0.05, 0.95])
 
 
 def test_a_wall_beside_the_object_does_not_block_the_view():
@@ -243,6 +267,10 @@ def test_points_without_an_extent_are_seen_from_some_distance():
         for camera in automatic_cameras(model, 4, kind="orbit"):
             assert 1 < np.linalg.norm(camera.position - model.means[0]) / least < 4
             assert camera.near > 0
+    walls = cloud(room(1000))
+    walls.log_scales[:] = -np.inf
+    for camera in automatic_cameras(walls, 2, kind="inside"):
+        assert (np.abs(camera.position) < (3.0, 1.5, 2.0)).all()
 
 
 def test_a_model_without_visible_splats_is_refused():
