@@ -229,6 +229,14 @@ def test_level_files_are_those_of_simplify_fitted_to_their_palette(inputs, tmp_p
 
 
 @KINDS
+def test_what_a_format_leaves_out_of_all_levels_is_noted_once(inputs, tmp_path, kind):
+    manifest, _ = write_levels(inputs[kind], tmp_path / "l", RATIOS, suffix=".splat", preset="fast")
+    assert manifest.notes == (
+        "Spherical harmonics above degree 0 are left out, .splat holds no more.",
+    )
+
+
+@KINDS
 def test_levels_are_written_with_the_format_options(inputs, tmp_path, kind):
     options = {"suffix": ".sog", "preset": "fast", "format_options": {"bits": 4}}
     write_levels(inputs[kind], tmp_path / "l", [0.5], **options)

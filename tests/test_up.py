@@ -8,9 +8,10 @@ from nanogs.datasets.synthetic import make_scene
 from nanogs.io import load
 from nanogs.source import source_of
 from nanogs.splats import Splats
+from nanogs.studio.turning import direction_of
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.occupancy import find_core, sample
-from nanogs.views.up import detect_up
+from nanogs.views.up import Surfaces, detect_up, ground
 
 SCENE = make_scene(6_000)  # on a floor, up is (0, -1, 0)
 # Rotations wxyz, and the direction that each turns (0, -1, 0) to.
@@ -100,6 +101,37 @@ def test_without_a_ground_up_is_the_usual_direction():
         part = SCENE.take(np.arange(len(points)))
         scales = np.full((len(points), 3), -4, np.float32)
         assert (up_of(replace(part, means=points, log_scales=scales)) == (0, -1, 0)).all()
+
+
+@pytest.mark.parametrize(
+    ("grounds", "up"),
+    [
+        ({"-y": 0.2, "+z": 0.29}, (0, -1, 0)),
+        ({"-y": 0.2, "+z": 0.31}, (0, 0, 1)),
+        ({"+x": 0.2, "+z": 0.29}, (0, -1, 0)),
+        ({"+x": 0.2, "+z": 0.31}, (0, 0, 1)),
+        ({"+z": 0.09}, (0, -1, 0)),
+        ({"+y": 0.06}, (0, 1, 0)),
+        ({"+y": 0.04}, (0, -1, 0)),
+        ({"-y": 0.05, "+y": 0.07}, (0, -1, 0)),
+    ],
+    ids=str,
+)
+def test_another_up_has_half_as_much_ground_again_as_any_rival(monkeypatch, grounds, up):
+    shares = {tuple(direction_of(axis)): share for axis, share in grounds.items()}
+    monkeypatch.setattr("nanogs.views.up.ground", lambda _, up: shares.get(tuple(up), 0.0))
+    assert up_of(SCENE).tolist() == list(up)
+
+
+@pytest.mark.parametrize(("width", "share"), [(1.0, 0.5), (0.3, 0.0)])
+def test_a_ground_reaches_about_as_far_as_the_model(width, share):
+    """Half of the area lies at the bottom, and the walls of a house stand above."""
+    rng = np.random.default_rng(0)
+    lying = rng.uniform(-1, 1, (1000, 3)) * (width, width, 0)
+    walls = rng.uniform((-1, -1, 0.1), (1, 1, 2), (1000, 3))
+    normals = np.repeat([[0.0, 0, 1], [1.0, 0, 0]], 1000, axis=0)
+    surfaces = Surfaces(np.concatenate([lying, walls]), normals, np.full(2000, 1 / 2000))
+    assert ground(surfaces, np.array([0.0, 0, 1])) == pytest.approx(share)
 
 
 def test_a_table_top_among_other_things_is_not_taken_for_the_ground():
