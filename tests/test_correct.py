@@ -1,6 +1,7 @@
 """Correction of the errors that cuts are guided by: against plain versions, and its promises."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -23,6 +24,8 @@ from nanogs.method.correct import (
     usual_change,
 )
 from nanogs.method.cut import label_groups
+from nanogs.pipeline import stages
+from nanogs.pipeline.tasks import corrections
 from nanogs.pipeline.tasks.corrections import summed_errors
 from nanogs.raster.rendering import prepare
 from reference_raster import render_reference
@@ -199,6 +202,67 @@ def test_errors_are_summed_at_half_size_where_they_are_as_large():
     target = make_target(prepare(original), camera, depth=False)
     half = errors_of_splats(changed, target, halved=True)
     assert np.array_equal(summed_errors(changed, [target, target], lambda _: None), half + half)
+
+
+@pytest.mark.parametrize(("half", "halved"), [(1.4, True), (1.6, False)])
+def test_the_mean_error_in_the_first_view_decides_the_size_at_which_errors_are_summed(
+    monkeypatch, half, halved
+):
+    """A view at half size has a quarter of the light, so sums would differ in any case."""
+
+    def errors(drawn, means, *, halved):
+        light = 0.25 if halved else 1.0
+        return np.tile([light * means[halved], light], (len(drawn), 1))
+
+    monkeypatch.setattr(corrections, "errors_of_splats", errors)
+    drawn = prepare(random_splats(3))
+    found = summed_errors(drawn, [(1.0, half), (1.0, 1e6 * half)], lambda _done: None)
+    sums = [(0.25 * half * (1 + 1e6), 0.5)] if halved else [(2.0, 2.0)]
+    np.testing.assert_allclose(found, np.tile(sums, (3, 1)))
+
+
+@pytest.mark.parametrize("block", [None, 150])
+def test_groups_get_their_own_errors_and_a_correction_follows_the_one_before(
+    tmp_path, monkeypatch, block
+):
+    """Blocks are drawn among what surrounds them, as when they are measured."""
+    surrounded, seen = [], []
+
+    def sums(drawn, *_given):
+        groups = scene_groups[-1]
+        own = prepare(groups.grown(1.25)).means
+        assert np.array_equal(drawn.means[: len(own)], own)
+        surrounded.append(len(drawn) > len(own))
+        rows = np.arange(len(drawn), dtype=np.float64)
+        return np.column_stack((rows + 1, 2 * rows + 1))
+
+    def merged(*given):
+        scene_groups.append(groups_of(*given))
+        return scene_groups[-1]
+
+    def correcting(ordering, labels, shown):
+        rows = scene_groups[-1].labels
+        assert not np.array_equal(rows, np.sort(rows)), "labels should differ from rows"
+        assert np.array_equal(shown.squared[rows], np.arange(len(rows)) + 1)
+        assert np.array_equal(shown.light[rows], 2 * np.arange(len(rows)) + 1)
+        seen.append((ordering.scores, correct_errors(ordering, labels, shown)))
+        return seen[-1][1]
+
+    scene_groups, groups_of = [], corrections.groups_of
+    monkeypatch.setattr(corrections, "groups_of", merged)
+    monkeypatch.setattr(corrections, "summed_errors", sums)
+    monkeypatch.setattr(corrections, "correct_errors", correcting)
+    monkeypatch.setattr(stages, "correction_is_promising", lambda *_given: True)
+    monkeypatch.setattr("nanogs.pipeline.tasks.trials.quality", lambda *_given: next(better))
+    better = itertools.count()  # each candidate is better than those before
+    nanogs.save(random_splats(400, seed=3), tmp_path / "in.ply")
+    given = {"ratio": 0.3, "views": 8, "view_size": 64, "steps": 0, "corrections": 2}
+    nanogs.simplify_blocks(tmp_path / "in.ply", tmp_path / "out.ply", block=block, **given)
+    blocks = len(seen) // 2
+    assert (blocks > 1) == (block is not None)
+    assert surrounded == [blocks > 1] * 2 * blocks
+    for (_, first), (scores, _) in zip(seen[:blocks], seen[blocks:], strict=True):
+        np.testing.assert_allclose(scores, first.scores, rtol=1e-6)
 
 
 def test_a_view_of_one_row_tells_nothing():
