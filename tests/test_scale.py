@@ -19,9 +19,17 @@ from hypothesis import strategies as st
 import nanogs
 from builders import model_bytes, random_splats
 from crashes import CrashError
-from nanogs.errors import FormatError, ModelError, NanogsError, OptionError, OutputError
+from nanogs import filters
+from nanogs.errors import (
+    NONE_USABLE,
+    FormatError,
+    ModelError,
+    NanogsError,
+    OptionError,
+    OutputError,
+)
 from nanogs.memory import LIBRARIES
-from nanogs.method.nodes import Nodes
+from nanogs.method.nodes import Nodes, immense_weight
 from nanogs.method.parameters import ForestParameters
 from nanogs.method.reassign import NEIGHBOURS
 from nanogs.pipeline import run, stages
@@ -35,6 +43,8 @@ from nanogs.pipeline.job.folder import (
     read_manifest,
     write_manifest,
 )
+from nanogs.pipeline.one_block import OneBlock, whole_settings
+from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.options.settings import (
     MOST_HALO,
     Access,
@@ -45,6 +55,8 @@ from nanogs.pipeline.options.settings import (
     differences,
     in_words,
 )
+from nanogs.pipeline.options.views import RequestedViews, plain_camera
+from nanogs.pipeline.tasks.blocks import leaves_of
 from nanogs.pipeline.tasks.budget import budget
 from nanogs.pipeline.tasks.cuts import CENTRES, LABELS, REACH, write_cut
 from nanogs.pipeline.tasks.forests import BINS, histogram_of, keys, passes_of, scores_of
@@ -52,7 +64,7 @@ from nanogs.pipeline.tasks.halo import REACHES, find_halo, near_groups
 from nanogs.pipeline.tasks.partition import partition
 from nanogs.pipeline.tasks.reassigning import keep_every_group
 from nanogs.pipeline.tasks.sorted_segments import DIGEST
-from nanogs.pipeline.tasks.units import Units
+from nanogs.pipeline.tasks.units import Units, find_units
 from nanogs.report import PassReport
 from nanogs.source import Layout, Source
 from nanogs.store.columns import CODES
@@ -65,6 +77,8 @@ from nanogs.store.tables import (
     verified,
     write_table,
 )
+from nanogs.threads import most_threads
+from nanogs.views.automatic import automatic_cameras
 from torchfiles import TorchFile
 
 FAST = {"preset": "fast", "block": 400, "threads": 1}
@@ -113,6 +127,70 @@ def settings(block, segments, **changes):
 # ---- parts ----------------------------------------------------------------------------------
 
 
+def planned(path, block=1000, **changes):
+    """Return the settings of a job on one file."""
+    with nanogs.open(path) as source:
+        inputs, count = (rows.input_file(source),), source.count
+    return settings(block, [count], inputs=inputs, **changes)
+
+
+@pytest.mark.parametrize("cameras", [0, 3, 70])
+def test_splats_weigh_as_much_in_blocks_as_in_memory(tmp_path, cameras):
+    """Also with a user's cameras, of which 64 at most are used; and far from the origin."""
+    model = random_splats(900)
+    model.means[:] += np.float32([300, -200, 100])
+    model.log_scales[::7] = -80  # points, which are given a least thickness
+    views = automatic_cameras(model, cameras, width=48, height=48) if cameras else []
+    asked = RequestedViews(cameras=tuple(json.dumps(plain_camera(each)) for each in views))
+    nanogs.save(model, tmp_path / "scene.ply")
+    job = planned(tmp_path / "scene.ply", parameters=PRESETS["fast"], asked=asked)
+    units = find_units(job)
+    whole = replace(whole_settings(model, PRESETS["fast"]), asked=asked)
+    held = OneBlock(model, np.arange(900, dtype=np.int32), whole, 1)
+    held.find_units("units")
+    held.grow("grow", 0)
+    leaves = leaves_of(model, held.placement.rows, units)
+    np.testing.assert_allclose(leaves.weights, held._leaves.weights, rtol=1e-12)
+    np.testing.assert_allclose(leaves.covariances, held._leaves.covariances, rtol=1e-12)
+    if cameras:
+        used = [views[(2 * place + 1) * cameras // (2 * min(cameras, 64))]
+                for place in range(min(cameras, 64))]  # fmt: skip
+        places = [camera.position - units.centre() for camera in used]
+        np.testing.assert_allclose(units.viewers().places, places, rtol=1e-12)
+    else:
+        assert units.places == ()
+    assert units.immense == pytest.approx(immense_weight(leaves.weights * units.prominence))
+
+
+def test_a_scene_far_from_the_origin_is_divided_as_a_near_one(tmp_path):
+    near = random_splats(600)
+    near.means[:] = np.round(near.means * 256) / 256  # so that moving rounds nothing
+    far = replace(near, means=near.means + np.float32([1024, -512, 64]))
+    codes = []
+    for name, model in (("near", near), ("far", far)):
+        nanogs.save(model, tmp_path / f"{name}.ply")
+        codes.append(find_units(planned(tmp_path / f"{name}.ply")).codes(model))
+    assert np.array_equal(*codes)
+    assert len(np.unique(codes[0])) > 590
+
+
+@pytest.mark.parametrize(
+    ("count", "bounds"), [(99, [0, 49, 99]), (100, [0, 50, 100]), (101, [0, 33, 67, 101])]
+)
+def test_segments_are_about_equal_and_no_larger_than_allowed(count, bounds):
+    assert rows.segments_of(count, 50) == tuple(Segment(*pair) for pair in pairwise(bounds))
+
+
+@pytest.mark.parametrize(("block", "left"), [(100, 16_384), (10**6, 262_144)])
+def test_samples_are_as_large_as_a_block_within_limits(tmp_path, block, left):
+    count = 5 * left // 4  # so every other run is read
+    model = random_splats(count, degree=0)
+    nanogs.save(model, tmp_path / "scene.ply")
+    found = rows.sample(planned(tmp_path / "scene.ply", block))
+    taken = np.flatnonzero(np.arange(count) // rows.RUN_ROWS % 2 == 0)
+    assert np.array_equal(found.means, model.means[taken])
+
+
 @pytest.mark.parametrize(
     ("span", "wanted", "reads"),
     [(32, 30_000, 4), (32, 6000, 4), (32, 900, 28), (7, 4000, 4), (9000, 1, 1)],
@@ -121,13 +199,11 @@ def test_samples_are_evenly_spread_runs_of_usable_rows(tmp_path, monkeypatch, sp
     model = random_splats(25_000)
     model.means[::5] = np.nan
     nanogs.save(model, tmp_path / "scene.ply")
-    with nanogs.open(tmp_path / "scene.ply") as source:
-        inputs = (rows.input_file(source),)
-    done = []
+    job, done = planned(tmp_path / "scene.ply"), []
     monkeypatch.setattr(
         rows.Joined, "read", lambda self, *ends: done.append(ends) or Source.read(self, *ends)
     )
-    found = rows.sample(settings(1000, [25_000], inputs=inputs), rows=wanted, span=span)
+    found = rows.sample(job, rows=wanted, span=span)
     starts = range(0, 25_000, span * -(-25_000 // wanted))
     runs = [np.arange(start, min(start + span, 25_000)) for start in starts]
     expected = model.take(np.concatenate(runs))
@@ -548,8 +624,13 @@ def test_one_block_gives_nearly_the_result_of_a_model_in_memory(scene, tmp_path)
 
 
 def test_threads_do_not_change_the_bytes(scene, tmp_path, expected):
-    nanogs.simplify_blocks(scene, tmp_path / "one.ply", ratio=0.3, **(REASSIGNED | {"threads": 2}))
+    options = REASSIGNED | {"threads": min(2, most_threads())}
+    report = nanogs.simplify_blocks(scene, tmp_path / "one.ply", ratio=0.3, **options)
     assert (tmp_path / "one.ply").read_bytes() == expected
+    assert report.threads == options["threads"]
+    divided = report.blocks
+    assert (divided.blocks, divided.segments, divided.allowed) == (4, 3, 400)
+    assert 300 <= divided.largest < 400
 
 
 def test_splats_are_reassigned_across_block_borders(scene, tmp_path):
@@ -567,6 +648,32 @@ def test_nonfinite_rows_are_dropped_or_refused(tmp_path):
     with pytest.raises(ModelError, match="row 3 "):
         nanogs.simplify_blocks(
             tmp_path / "a.ply", tmp_path / "c.ply", ratio=0.5, nan="error", **FAST
+        )
+
+
+@pytest.mark.parametrize("more", [{}, {"block": 100}])
+def test_a_model_of_which_no_row_is_usable_is_refused_and_leaves_no_job(tmp_path, more):
+    splats = random_splats(300)
+    splats.means[:, 1] = np.nan
+    nanogs.save(splats, tmp_path / "a.ply")
+    with pytest.raises(ModelError, match=f"^{NONE_USABLE}$"):
+        nanogs.simplify_blocks(
+            tmp_path / "a.ply", tmp_path / "b.ply", ratio=0.5, preset="fast", **more
+        )
+    assert names_in(tmp_path) == ["a.ply"]
+
+
+def test_a_refused_row_of_a_filtered_model_is_counted_among_those_left(tmp_path):
+    """Rows of all files together: the filter drops two of three of the first file."""
+    first, second = random_splats(600), random_splats(500, seed=1)
+    first.opacity_logits[:] = np.where(np.arange(600) % 3, -9, 9)
+    second.opacity_logits[:], second.means[77, 1] = 9, np.nan
+    for name, model in (("a", first), ("b", second)):
+        nanogs.save(model, tmp_path / f"{name}.ply")
+    paths, kept = [tmp_path / "a.ply", tmp_path / "b.ply"], [filters.opaque_enough(0.5)]
+    with pytest.raises(ModelError, match=r"^Row 277 of those that filters leave holds a NaN"):
+        nanogs.simplify_blocks(
+            paths, tmp_path / "c.ply", ratio=0.5, nan="error", filters=kept, **FAST
         )
 
 
