@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from nanogs.errors import ExistsError, FormatError, NanogsError, OptionError, Ou
 from nanogs.memory import LIBRARIES
 from nanogs.pipeline.estimates.block_plan import held_bytes
 from nanogs.pipeline.in_blocks import plan_job
-from nanogs.pipeline.job import cluster
+from nanogs.pipeline.job import cluster, workers
 from nanogs.pipeline.job.folder import refuse_finished
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.options.target import Goal
@@ -231,7 +232,9 @@ def test_failures_of_tasks_become_clear_errors():
         (BrokenProcessPool(), OutputError, "^1 worker ended"),
         (KilledWorker("a", None, 3), OutputError, "^4 workers ended"),
         (ModuleNotFoundError("No module named 'nanogs'"), OptionError, "cannot load nanogs"),
+        (RuntimeError("Error during deserialization"), OptionError, "cannot load nanogs .Error"),
         (MemoryError(), OutputError, "grow-0-00002 failed on a worker .MemoryError"),
+        (OSError("no space\nleft"), OutputError, r"^grow-0-00002 failed on a worker \(no space\);"),
         (FormatError("It is damaged."), FormatError, "^It is damaged.$"),
         (ZeroDivisionError("a defect"), ZeroDivisionError, "a defect"),
     ]
@@ -243,6 +246,48 @@ def test_failures_of_tasks_become_clear_errors():
             future.cancel()
         with pytest.raises(kind, match=message):
             check(future, Task("grow", 2))
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """Return a function that lets a cluster be watched at a time, and a list of waits."""
+    now, waits = [0.0], []
+    monkeypatch.setattr(workers, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    client = SimpleNamespace(status="running", scheduler=SimpleNamespace(ncores=None))
+    watch = workers._Watch(client, 5.0, lambda: waits.append(now[0]))
+
+    def look(seconds, result_at, found, status="running"):
+        def sync(*_given, **_more):
+            if found is None:
+                raise OSError("no answer")
+            return dict.fromkeys(range(found))
+
+        now[0], client.sync, client.status = seconds, sync, status
+        watch(result_at)
+
+    return look, waits
+
+
+def test_a_cluster_without_workers_is_given_up_after_the_patience(watched):
+    """It is counted from when there last was a worker, or a result."""
+    look, waits = watched
+    for seconds, result_at, found in ((104, 100, 0), (105, 100, 1), (110, 100, 0), (113, 108, 0)):
+        look(seconds, result_at, found)
+    with pytest.raises(OutputError, match=r"^The Dask cluster has had no worker for 5 seconds"):
+        look(113.5, 108, 0)
+    assert waits == [104, 110, 113, 113.5]
+
+
+def test_a_scheduler_that_is_silent_or_closed_is_lost(watched):
+    """It is counted from its last answer, or a result."""
+    look, waits = watched
+    for seconds, result_at, found in ((110, 100, 1), (140, 100, None), (141, 111, None)):
+        look(seconds, result_at, found)
+    with pytest.raises(OutputError, match=r"^The Dask scheduler was lost"):
+        look(141.5, 111, None)
+    with pytest.raises(OutputError, match=r"^The Dask scheduler was lost"):
+        look(142, 142, 1, "closed")
+    assert waits == []
 
 
 def test_a_worker_reports_files_that_it_cannot_read(tmp_path):

@@ -26,7 +26,7 @@ from nanogs.pipeline.job.stored import BlockJob
 from nanogs.pipeline.options.presets import with_longer_fit
 from nanogs.pipeline.options.settings import FINE, ROUGH, differences, most_coarse
 from nanogs.pipeline.options.target import Goal
-from nanogs.pipeline.options.views import RequestedViews
+from nanogs.pipeline.options.views import AUTOMATIC, RequestedViews, requested_views
 from nanogs.pipeline.request import Request
 from nanogs.pipeline.tasks import fitting
 from nanogs.pipeline.tasks.blocks import leaves_of
@@ -294,11 +294,23 @@ def test_views_survive_json(splats):
 def test_lenses_and_cropped_views_survive_json(splats):
     lens = Lens("OPENCV", above=(0.1, 0.0), tangential=(0.01, 0.0))
     camera = automatic_cameras(splats, 1, width=70, height=50)[0]
-    more = {"lens": lens, "near": 0.37, "changed_by": "poses.json"}
+    more = {"lens": lens, "near": 0.37, "changed_by": "poses.json", "dilation": 0.12}
     part = dataclasses.replace(camera.cropped(10, 5, 32, 16), **more)
     again = views_of(json.loads(json.dumps(Views((part,), (), (), ()).to_dict()))).kept[0]
     for field in dataclasses.fields(part):
         assert np.array_equal(getattr(again, field.name), getattr(part, field.name)), field.name
+
+
+def test_views_are_requested_with_an_up_direction_only_if_they_are_found(splats):
+    up = (0.0, 0.0, 2.0)
+    assert requested_views(None, None) == AUTOMATIC
+    assert requested_views(None, up) == RequestedViews(up=up)
+    assert requested_views("inside", up) == RequestedViews("inside", up)
+    for cameras in (None, "inside"):
+        with pytest.raises(OptionError, match=r"^Up must be three finite numbers, not all zero"):
+            requested_views(cameras, (0, 0, 0))
+    with pytest.raises(OptionError, match=r"^`up` cannot be combined with given cameras"):
+        requested_views(automatic_cameras(splats, 2, width=32, height=32), up)
 
 
 def test_blocks_note_that_lens_distortion_is_left_out(scene, splats, tmp_path):
