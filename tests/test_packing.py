@@ -122,6 +122,77 @@ def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
     assert len(model.made) <= 2 * (len(SHARES) + 4)
 
 
+class AddedLosses(SyntheticModel):
+    """Losses from missing splats, bits, degree and palette add up, and each has its own rate, dB.
+
+    Args:
+        available: Splats of the whole model.
+        missing: Quality if only splats were missing at a splat count of all, and its slope.
+        bits: Quality without bits, and what each bit gains.
+        degree: Quality without harmonics, and what each degree gains.
+        palette: Quality of harmonics of its own for each splat, and what each halving loses.
+        sizes: Bytes of a bit, and of a palette of one entry for each splat.
+        guessed: The guess over the count that fills the size.
+    """
+
+    def __init__(self, available, missing, bits, degree, palette, sizes, guessed):
+        self.available, self.missing, self.sizes, self.guessed = available, missing, sizes, guessed
+        self.rates, self.made, self.files = (bits, degree, palette), [], []
+
+    def bytes_of(self, packing, count):
+        entries = self.sizes[1] / (packing.per_entry or 1) if packing.sh_degree else 0
+        bits = self.sizes[0] * dict(packing.bits)["bits"]
+        return int((5 + bits + packing.sh_degree + entries) * count) + 100
+
+    def guess(self, packing):
+        return int(self.guessed * SIZE / self.bytes_of(packing, 1000) * 1000)
+
+    def seen(self, packing, count):
+        self.files.append((packing, count))
+        bits, degree, palette = self.rates
+        qualities = [self.missing[0] + self.missing[1] * math.log(count / self.available)]
+        qualities.append(bits[0] + bits[1] * dict(packing.bits)["bits"])
+        qualities.append(degree[0] + degree[1] * packing.sh_degree)
+        if packing.sh_degree:
+            qualities.append(palette[0] - palette[1] * math.log2(packing.per_entry or 1))
+        psnr = -10 * math.log10(sum(10 ** (-each / 10) for each in qualities))
+        size = self.bytes_of(packing, count)
+        return PackingReport(packing.sh_degree, packing.options(count), count, size, psnr, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("model", "degrees", "own", "slope", "expected"),
+    [
+        # The first result is far from the size, where its degree 3 seems the best by 20 dB.
+        (
+            AddedLosses(
+                23_516, (53.4, 29.9), (19.4, 5.35), (41.4, 3.95), (34.1, 3.86), (0.5, 50.7), 1.05
+            ),
+            range(4), 1.0, 4.2, (0, 8.0, 4),
+        ),
+        # More splats gain far more than was believed, so that few bits are best: by 5 dB.
+        (
+            AddedLosses(
+                11_674, (38.2, 28), (10.3, 1.83), (36.6, 5.76), (38.6, 2.05), (2, 5.23), 0.85
+            ),
+            [3], 1.0, 2.5, (3, 8.0, 4),
+        ),
+        # Nearly all splats fit with harmonics of their own, and all of them with the next palette.
+        (
+            AddedLosses(
+                2856, (44.6, 28), (18.8, 4.42), (32.3, 6.68), (46.7, 3.41), (0.5, 26.2), 1.01
+            ),
+            range(4), None, 13.2, (3, 1.5, 8),
+        ),
+    ],
+)  # fmt: skip
+def test_the_best_packing_is_found_where_losses_add_up(model, degrees, own, slope, expected):
+    choices = Choices(degrees, palettes=True, bits=BITS, own_per_entry=own)
+    given = model.guess, model.attempt, model.available
+    found, _, _ = choose_packing(choices, SIZE, slope, *given)
+    assert (found.sh_degree, found.per_entry, dict(found.bits)["bits"]) == expected
+
+
 def test_room_that_all_splats_cannot_fill_is_used_for_bits():
     available = 2800
 
@@ -363,6 +434,8 @@ def test_the_slope_is_the_quality_gained_by_more_splats():
     less, more = (tried(0, {}, n * n, n, 30 + 6 * math.log(n)) for n in (1000, 1600))
     assert slope_of(choices, less, more) == pytest.approx(6)
     assert slope_of(choices, less, replace(more, psnr=math.inf)) == SLOPES[1]
+    assert slope_of(choices, less, replace(more, psnr=less.psnr + 20)) == SLOPES[1]
+    assert slope_of(choices, less, replace(more, psnr=less.psnr)) == SLOPES[0]
     assert slope_of(choices, less, less) == SLOPES[1]
     by_psnr = replace(choices, by_psnr=True)
     better = replace(more, ssim=1.0)
