@@ -251,6 +251,15 @@ def test_nonfinite_rows_are_dropped_and_reported(preset, column, value):
     assert model_bytes(small) == model_bytes(same)
 
 
+@pytest.mark.parametrize("more", [{}, {"steps": 2, "views": 3, "view_size": 48}])
+def test_a_level_of_all_splats_has_the_usable_rows_in_their_order(more):
+    splats = random_splats(60)
+    splats.means[7, 1] = np.nan
+    (whole, _), (half, _) = nanogs.levels(splats, [1.0, 0.5], preset="fast", **more)
+    assert model_bytes(whole) == model_bytes(splats.take(splats.finite()))
+    assert len(half) == 30
+
+
 @every_preset
 def test_nonfinite_rows_are_refused_on_request(preset):
     splats = random_splats(50)
