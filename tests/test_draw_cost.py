@@ -151,7 +151,10 @@ def test_a_model_out_of_view_costs_nothing():
 def test_given_views_have_no_split_and_the_largest_decides_on_the_memory():
     cameras = [make_camera(), replace(make_camera(), width=300, height=200)]
     assert pictures_of(cameras, 8, 512) == (60_000, 2)
-    assert (protocol_of(cameras, "given").split, protocol_of(cameras, "auto").split) == (None, "test")
+    assert (protocol_of(cameras, "given").split, protocol_of(cameras, "auto").split) == (
+        None,
+        "test",
+    )
 
 
 def test_impossible_arguments_are_refused(tmp_path):

@@ -167,7 +167,7 @@ def test_cameras_stay_near_the_model_and_no_target_is_out_of_reach():
     """The second splat stands for surroundings, the third for a sky, which takes no tries."""
     places = np.array([[0.0, 0, 0], [2.5, 0, 0], [9.0, 0, 0]])
     splats = prepare(cloud(places, 0.1))
-    scene = roam.Scene(splats, np.zeros(3), 1.0, np.eye(3), np.array([True, True, False]))
+    scene = roam.SearchedModel(splats, np.zeros(3), 1.0, np.eye(3), np.array([True, True, False]))
     known = roam.SearchState(np.array([1.0, 1.0, 98.0]), FreeSpace(splats), [])
     lens = roam._test_camera(1, 64, 64, 60)
     found = [*roam._candidates(scene, known, lens, "fit", 300)]
