@@ -162,6 +162,19 @@ def test_rotations_turn_little_and_covariances_stay():
     assert (np.linalg.norm(first - second, axis=(1, 2)) / size).max() < np.expm1(0.6) + MOST_TURN
 
 
+def test_values_that_a_format_cannot_hold_do_not_make_all_others_coarse():
+    """A .spz holds log-scales from -10 on; the thin axes of real models may be far below."""
+    model, curvatures = model_of(), curvatures_of(3000)
+    levels = quantisation_of(model, "a.spz", bits=7)
+    plain = rounded(model, curvatures, levels)
+    flat = replace(model, log_scales=model.log_scales.copy())
+    flat.log_scales[::2, 2] = -16
+    small = rounded(flat, curvatures, levels)
+    assert (small.log_scales[::2] == -10).any(axis=1).all()
+    changes = [np.abs(each.sh - model.sh).mean() for each in (plain, small)]
+    assert changes[1] == pytest.approx(changes[0], rel=0.05)
+
+
 def test_surfels_keep_their_rotations():
     model = replace(model_of(200), render_mode=RenderMode.SURFEL)
     small = rounded(model, curvatures_of(200), quantisation_of(model, "a.sog", bits=6))

@@ -107,11 +107,14 @@ class _Values(NamedTuple):
     most: float
 
     def error(self) -> float:
-        """Return the error of rounding to the nearest level."""
-        nearest = self.levels[_nearest(self.values, self.levels)]
-        with np.errstate(invalid="ignore"):
-            changes = nearest.astype(np.float64) - self.values
-        return float((self.curvatures * np.where(np.isfinite(changes), changes, 0) ** 2).sum())
+        """Return the error of rounding to the nearest level.
+
+        That of values beyond the first or last level is left out: no further bit would lower it.
+        """
+        nearest = self.levels[_nearest(self.values, self.levels)].astype(np.float64)
+        within = (self.values >= self.levels[0]) & (self.values <= self.levels[-1])
+        changes = np.where(within, nearest, 0) - np.where(within, self.values, 0)
+        return float((self.curvatures * changes**2).sum())
 
     def cheapest(self, price: float) -> F32:
         """Return the levels of least cost, (N, C), at a price of a bit."""
