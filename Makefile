@@ -25,7 +25,7 @@ WORKERS ?= 3
 TESTS ?= tests
 # What `make bounds` runs: whatever calls kernels, with small models.
 BOUNDS := $(patsubst %,tests/test_%.py,kernels extremes correct directional growth_sheets forest knn parallel raster blocks \
-	visibility distances refit metrics simplify scale sog_write palette)
+	visibility distances refit metrics simplify scale sog_write palette rate_distortion)
 
 # Python keeps compiled modules, whatever it is told elsewhere: tests start hundreds of processes.
 export PYTHONDONTWRITEBYTECODE :=
