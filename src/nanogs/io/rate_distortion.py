@@ -154,12 +154,13 @@ class _Turns(NamedTuple):
     @classmethod
     def of(cls, splats: Splats, curvatures: Curvatures, levels: F64) -> "_Turns":
         """Reorder the axes of splats so that rotations are small, and curvatures with them."""
-        quats, log_scales = minimise_rotation(splats)
+        # The numbers of the axes in place of their scales, which do not decide the order.
         axes = np.tile(np.arange(3, dtype=np.float32), (len(splats), 1))
-        order = minimise_rotation(replace(splats, log_scales=axes))[1].astype(np.int64)
-        turned, scaled = (
+        quats, reordered = minimise_rotation(replace(splats, log_scales=axes))
+        order = reordered.astype(np.int64)
+        turned, log_scales, scaled = (
             np.take_along_axis(each, order, axis=1)
-            for each in (curvatures.rotations, curvatures.log_scales)
+            for each in (curvatures.rotations, splats.log_scales, curvatures.log_scales)
         )
         return cls(quats, turned, levels, log_scales, scaled)
 
