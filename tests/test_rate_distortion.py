@@ -303,8 +303,10 @@ def test_a_result_is_rounded_as_its_file_is(path, frame):
     assert files.bytes_of(outcome, options) < plain
     size = round(1.01 * files.bytes_of(outcome, options) / 0.98)
     assert files.bytes_of(outcome, options) < 0.98 * size <= files.bytes_of(outcome, options, size)
-    filled = files.rounded(outcome, options, size)
-    assert files.bytes_of(filled, options) == files.bytes_of(outcome, options, size) <= size
+    filled, taken = files.filled(outcome, options, size)
+    assert (
+        files.bytes_of(filled, options) == files.bytes_of(outcome, options, size) == taken <= size
+    )
 
 
 def test_results_are_compared_with_the_nearest_values():

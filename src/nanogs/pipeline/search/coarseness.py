@@ -10,13 +10,16 @@ MOST_TRIED = 4
 # A coarseness is at most this, and at least its inverse. Within these limits more splats and finer
 # values gain about the same for each byte.
 COARSEST = 2.0
+FINEST = 1 / 64  # if no more splats fit; values are then nearly the nearest
 # How the logarithm of the bytes falls with that of the coarseness: at first, and at least.
 SLOPE, LEAST_SLOPE = 0.05, 0.02
 
 T = TypeVar("T")
 
 
-def fill_by_rounding(packed: Callable[[float], tuple[T, int]], size: int) -> tuple[T, int]:
+def fill_by_rounding(
+    packed: Callable[[float], tuple[T, int]], size: int, finest: float = 1 / COARSEST
+) -> tuple[T, int]:
     """Round a result more finely or more coarsely, until its file takes most of a size.
 
     That is quick, while another count would need another fit.
@@ -25,6 +28,7 @@ def fill_by_rounding(packed: Callable[[float], tuple[T, int]], size: int) -> tup
         packed: Rounds a result with a coarseness (see `nanogs.io.economical`); returns it and the
             bytes of its file.
         size: Bytes that the file may have.
+        finest: Least coarseness.
 
     Returns:
         The result and its bytes: with a coarseness of 1 if none fills the size.
@@ -35,8 +39,7 @@ def fill_by_rounding(packed: Callable[[float], tuple[T, int]], size: int) -> tup
         if ENOUGH * size <= found[1] <= size:
             return found
         wanted = place + math.log(found[1] / (AIM * size)) / slope
-        end = math.log(COARSEST)
-        following = min(max(wanted, -end), end)
+        following = min(max(wanted, math.log(finest)), math.log(COARSEST))
         if following == place:
             break
         before, found = found, packed(math.exp(following))

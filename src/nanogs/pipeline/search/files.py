@@ -5,10 +5,10 @@ The one of a scene in blocks is in `in_blocks`.
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from nanogs.clock import StageClock
 from nanogs.frames import back, turned
@@ -20,8 +20,11 @@ from nanogs.io import (
     round_trip,
     round_trip_with_size,
 )
+from nanogs.io.rate_distortion import Curvatures
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.search.coarseness import fill_by_rounding
+from nanogs.pipeline.search.coarseness import FINEST, fill_by_rounding
+from nanogs.pipeline.search.file_size import ENOUGH
+from nanogs.pipeline.search.latest import Latest
 from nanogs.pipeline.search.size_request import Options
 from nanogs.report import PackingReport
 from nanogs.scoring.held_out import SelectionViews, selection_views
@@ -46,20 +49,29 @@ class Files(Protocol[R]):
     def count(self, result: R) -> int:
         """Return the number of splats of a result."""
 
-    def rounded(self, result: R, options: Options, size: int | None = None) -> R:
+    def rounded(self, result: R, options: Options) -> R:
         """Return a result whose values are rounded so that its file packs well.
 
-        Args:
-            result: The result; it is returned itself if it was not fitted.
-            options: Of the format.
-            size: Bytes to fill by finer or coarser rounding, as far as that goes.
+        It is returned itself if it was not fitted.
+        """
+
+    def filled(self, result: R, options: Options, size: int) -> tuple[R, int]:
+        """Return a result that is delivered, rounded so that its file fills a size, and its bytes.
+
+        As no more splats fit, values are as fine as they can be.
         """
 
     def sample_bytes(self, some: Splats, options: Options) -> int:
         """Return the size of a file of some splats with options of the format, bytes."""
 
     def bytes_of(self, result: R, options: Options, size: int | None = None) -> int:
-        """Return the size of a result's file, rounded as by `rounded`, bytes."""
+        """Return the size of a result's file, rounded as by `rounded`, bytes.
+
+        Args:
+            result: The result.
+            options: Of the format.
+            size: Bytes to fill by rounding somewhat more finely or coarsely.
+        """
 
     def shows(self) -> bool:
         """Whether the views to choose by show the original, so that files can be compared."""
@@ -83,14 +95,6 @@ class Files(Protocol[R]):
         """Open a result as it is before it is written, in the frame of the original."""
 
 
-class _Filled(NamedTuple):
-    """The latest call of `HeldFiles._filled`: its arguments, and what it returned."""
-
-    result: Outcome
-    asked: tuple[Options, int]
-    found: tuple[Outcome, int]
-
-
 @dataclass(eq=False)
 class HeldFiles:
     """Encodes and measures results of a model in memory; see `Files`.
@@ -110,8 +114,8 @@ class HeldFiles:
     clock: StageClock
     frame: tuple[str, str] | None = None
     by_psnr: bool = False
-    _latest: "_Filled | None" = None
-    _measured: tuple[Outcome, int, tuple[float, float]] | None = None  # the latest of `_unpacked`
+    _filled: Latest[tuple[Outcome, int]] = field(default_factory=Latest)
+    _unpacked: Latest[tuple[float, float]] = field(default_factory=Latest)
 
     @cached_property
     def views(self) -> SelectionViews:
@@ -131,41 +135,42 @@ class HeldFiles:
         with self.clock.time("encode"):
             return encoded_bytes(turned(some, self.frame), self.path, {**self.given, **options})
 
-    def rounded(self, result: Outcome, options: Options, size: int | None = None) -> Outcome:
+    def rounded(self, result: Outcome, options: Options) -> Outcome:
         """Return a result whose values are rounded to pack well; see `Files.rounded`."""
-        if size is None or not self._rounds(result):
-            return self._economical(result, options, 1.0)
-        return self._filled(result, options, size)[0]
+        return self._economical(result, options, 1.0)
+
+    def filled(self, result: Outcome, options: Options, size: int) -> tuple[Outcome, int]:
+        """Return a result whose rounding fills a size, and its bytes; see `Files.filled`."""
+        found = self._filling(result, options, size)
+        if found[1] >= ENOUGH * size:
+            return found
+        return fill_by_rounding(partial(self._packed, result, options), size, FINEST)
 
     def bytes_of(self, result: Outcome, options: Options, size: int | None = None) -> int:
         """Return the bytes of a result's file; see `Files.bytes_of`."""
-        if size is None or not self._rounds(result):
+        if size is None or self._curvatures(result) is None:
             return self._packed(result, options, 1.0)[1]
-        return self._filled(result, options, size)[1]
+        return self._filling(result, options, size)[1]
 
-    def _rounds(self, result: Outcome) -> bool:
-        """Whether rounding makes a difference to a result."""
-        known = registry.writable(self.path)
-        return result.curvatures is not None and known.quantisation is not None
+    def _curvatures(self, result: Outcome) -> Curvatures | None:
+        """Return how much a result's values show, if they are rounded by it."""
+        return result.curvatures if registry.writable(self.path).quantisation else None
 
-    def _filled(self, result: Outcome, options: Options, size: int) -> tuple[Outcome, int]:
-        """Return a result whose rounding fills a size, and its bytes; once for several calls."""
-        latest, asked = self._latest, (dict(options), size)
-        if latest is None or latest.result is not result or latest.asked != asked:
-            found = fill_by_rounding(partial(self._packed, result, options), size)
-            self._latest = latest = _Filled(result, asked, found)
-        return latest.found
+    def _filling(self, result: Outcome, options: Options, size: int) -> tuple[Outcome, int]:
+        """Return a result whose rounding fills a size, and its bytes."""
+        packed = partial(self._packed, result, options)
+        return self._filled.of((result, options, size), lambda: fill_by_rounding(packed, size))
 
     def _packed(self, result: Outcome, options: Options, coarseness: float) -> tuple[Outcome, int]:
         small = self._economical(result, options, coarseness)
         return small, self.sample_bytes(small.splats, options)
 
     def _economical(self, result: Outcome, options: Options, coarseness: float) -> Outcome:
-        if result.curvatures is None or not self._rounds(result):
+        if (curvatures := self._curvatures(result)) is None:
             return result
         with self.clock.time("encode"):
             splats, given = turned(result.splats, self.frame), {**self.given, **options}
-            small = economical(splats, result.curvatures, self.path, given, coarseness)
+            small = economical(splats, curvatures, self.path, given, coarseness)
         return replace(result, splats=turned(small, back(self.frame)), curvatures=None)
 
     def shows(self) -> bool:
@@ -181,16 +186,11 @@ class HeldFiles:
             small, size = round_trip_with_size(bare, self.path, {**self.given, **options})
         with self.clock.time("measure"):
             found = self.views.judge(turned(small, back(self.frame)))
-            before = self._unpacked(result, sh_degree)
+            before = self._unpacked.of(
+                (result, sh_degree),
+                lambda: self.views.judge(result.splats.with_sh_degree(sh_degree)),
+            )
         return PackingReport(sh_degree, options, len(bare), size, *found, *before)
-
-    def _unpacked(self, result: Outcome, sh_degree: int) -> tuple[float, float]:
-        """Measure PSNR and SSIM of a result that is not packed, once for several calls."""
-        known = self._measured
-        if known is None or known[:2] != (result, sh_degree):
-            scores = self.views.judge(result.splats.with_sh_degree(sh_degree))
-            self._measured = known = result, sh_degree, scores
-        return known[2]
 
     @contextmanager
     def stored(self, result: Outcome, options: Options) -> Iterator[Splats]:

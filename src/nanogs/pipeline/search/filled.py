@@ -5,10 +5,11 @@ from functools import partial
 
 from nanogs.errors import TooSmallError
 from nanogs.pipeline.options.target import count_for_size
-from nanogs.pipeline.search.file_size import FittedSize, fit_size, too_small, whole_fits
+from nanogs.pipeline.search.file_size import ENOUGH, FittedSize, fit_size, too_small, whole_fits
 from nanogs.pipeline.search.packer import ChosenPacking, Packer
 from nanogs.pipeline.search.packing import Packing
 from nanogs.pipeline.search.results import Delivered, T
+from nanogs.report import StopReason
 
 # If this many times the fewest splats fit by the guess, the fewest certainly fit, and no file is
 # made to check it.
@@ -34,12 +35,15 @@ def fill_size(packer: Packer[T]) -> Delivered[T]:
         result, fitted = _filled(packer, packed)
     packer.results.verify(result, packer.progress)
     known, available = packer.request.known, packer.results.available
+    if packer.results.fits and known.quantisation is not None and fitted.count < available:
+        options = packed.packing.options(packer.files.count(result))
+        result, taken = packer.files.filled(result, options, packer.request.size)
+        full = taken >= ENOUGH * packer.request.size
+        fitted = replace(fitted, bytes=taken, stop=StopReason.TARGET if full else fitted.stop)
     notes = fitted.leap(packer.request.size, available, known.overhead_bytes()) + packed.notes
     if fitted.count == available and known.file_bytes is None:
         left_out = packed.packing.sh_degree < packer.sample.sh_degree
         notes += (whole_fits(left_out=left_out),)
-    options = packed.packing.options(packer.files.count(result))
-    result = packer.files.rounded(result, options, packer.request.size)
     fields = {"achieved_size": fitted.bytes, "size_probes": fitted.probes, "stop": fitted.stop}
     return Delivered(result, fields | packed.report_fields(packer.files.count(result)), notes)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,11 @@ from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.job.rows import opened, sample
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.run import Done, Run
-from nanogs.pipeline.search.coarseness import fill_by_rounding
-from nanogs.pipeline.search.file_size import SIZE_SAMPLE
+from nanogs.pipeline.search.coarseness import FINEST, fill_by_rounding
+from nanogs.pipeline.search.file_size import ENOUGH, SIZE_SAMPLE
 from nanogs.pipeline.search.find import find_result
 from nanogs.pipeline.search.job_results import JobResults, Result, Rounding
+from nanogs.pipeline.search.latest import Latest
 from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.pipeline.tasks.parts import read_curvatures
 from nanogs.pipeline.work import SHORT_RUN, Work
@@ -111,8 +112,9 @@ class JobFiles:
     max_memory: int | None
     work: Work
     clock: StageClock
-    # The latest result and degree that were measured unpacked, and their PSNR and SSIM.
-    _measured: tuple[tuple[int, int], tuple[float, float]] | None = None
+    _shown: Latest[Curvatures | None] = field(default_factory=Latest)
+    _filled: Latest[tuple[Result, int]] = field(default_factory=Latest)
+    _unpacked: Latest[tuple[float, float]] = field(default_factory=Latest)
 
     @cached_property
     def views(self) -> SelectionViews:
@@ -130,20 +132,27 @@ class JobFiles:
         """Return the number of splats of a result."""
         return result.work.target(result.level)
 
-    def rounded(
-        self, result: Result, options: Mapping[str, Any], size: int | None = None
-    ) -> Result:
+    def rounded(self, result: Result, options: Mapping[str, Any]) -> Result:
         """Return a result that is rounded when it is written; see `Files.rounded`."""
-        if size is None or self._curvatures(result) is None:
-            return replace(result, rounding=Rounding(options, 1.0))
-        return fill_by_rounding(partial(self._packed, result, options), size)[0]
+        return replace(result, rounding=Rounding(options, 1.0))
+
+    def filled(self, result: Result, options: Mapping[str, Any], size: int) -> tuple[Result, int]:
+        """Return a result whose rounding fills a size, and its bytes; see `Files.filled`."""
+        found = self._filling(result, options, size)
+        if found[1] >= ENOUGH * size:
+            return found
+        return fill_by_rounding(partial(self._packed, result, options), size, FINEST)
 
     def bytes_of(self, result: Result, options: Mapping[str, Any], size: int | None = None) -> int:
         """Return the size of a result's file, bytes; see `Files.bytes_of`."""
-        packed = partial(self._packed, result, options)
         if size is None or self._curvatures(result) is None:
-            return packed(1.0)[1]
-        return fill_by_rounding(packed, size)[1]
+            return self._packed(result, options, 1.0)[1]
+        return self._filling(result, options, size)[1]
+
+    def _filling(self, result: Result, options: Mapping[str, Any], size: int) -> tuple[Result, int]:
+        """Return a result whose rounding fills a size, and its bytes."""
+        packed = partial(self._packed, result, options)
+        return self._filled.of((result, options, size), lambda: fill_by_rounding(packed, size))
 
     def _packed(
         self, result: Result, options: Mapping[str, Any], coarseness: float
@@ -162,7 +171,9 @@ class JobFiles:
         sought, count = self.work.settings.search, self.count(result)
         fits = sought is None or sought.most is None or count <= sought.most
         quantises = registry.writable(self.output).quantisation is not None
-        return read_curvatures(result.work, result.level) if fits and quantises else None
+        if not (fits and quantises):
+            return None
+        return self._shown.of((result.level,), lambda: read_curvatures(result.work, result.level))
 
     def prepared(self, result: Result, source: Source) -> Source:
         """Return what is written of a result: itself, or its values as they are rounded.
@@ -201,17 +212,15 @@ class JobFiles:
             file = opened_files.enter_context(open_model(path))
             with self.clock.time("measure"):
                 found = self.views.judge(turned_back(file, result))
-                if self._measured is None or self._measured[0] != (result.level, sh_degree):
-                    before = self.views.judge(turned_back(bare, result))
-                    self._measured = (result.level, sh_degree), before
-                before = self._measured[1]
+                before = self._unpacked.of(
+                    (result, sh_degree), lambda: self.views.judge(turned_back(bare, result))
+                )
         return PackingReport(sh_degree, options, self.count(result), size, *found, *before)
 
     @contextmanager
     def stored(self, result: Result, options: Mapping[str, Any]) -> Iterator[Source]:
         """Open a result as its file holds or shows it; see `Files.stored`."""
         known = registry.writable(self.output)
-        made = replace(result, rounding=Rounding(options, 1.0))
         with result_of(result.work, result.level) as source:
             if known.suffix == ".ply":
                 yield turned_back(source, result)
@@ -220,7 +229,7 @@ class JobFiles:
                 self._refuse_large(source, options)
                 yield turned_back(InMemory(known.shown(source.load())), result)
                 return
-            small = self.prepared(made, source)
+            small = self.prepared(self.rounded(result, options), source)
             with self.written(small, options) as path, open_model(path) as file:
                 yield turned_back(file, result)
 
