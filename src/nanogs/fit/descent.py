@@ -40,9 +40,10 @@ if TYPE_CHECKING:
 LIMITS = (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.5)
 WARM_UP = 4  # steps until the full learning rate: the first curvatures come from few views
 SLOWEST = 0.3  # share of the learning rate at the end of the schedule, where states are averaged
-# Factors of the curvatures of opacities and colours beside those of shapes, which also count what
-# other views would show: the growth of the error through rounding each kind of value, measured.
-_OPACITIES, _COLOURS = np.float32(2), np.float32(3)
+# Factors of the curvatures of centres, opacities and colours beside those of shapes, which also
+# count what other views would show: the growth of the error through rounding each kind of value,
+# measured.
+_CENTRES, _OPACITIES, _COLOURS = np.float32(2), np.float32(2), np.float32(3)
 TYPICAL = 2  # views, beside those of the steps, in which a splat is taken to be typical
 FITTED = ("centres", "scales", "rotations", "opacities", "colours")
 
@@ -124,7 +125,10 @@ class Descent:
         typical = np.median(found[seen > 0], axis=0) if seen.any() else np.zeros(found.shape[1])
         sums = seen[:, None] * found + TYPICAL * typical
         mean = (sums / (self._count + TYPICAL)).astype(np.float32)
+        # Without the typical splat: to move a tiny one by a standard deviation shows less.
+        centres = seen[:, None] * hessians[:, DIAGONAL[:CENTRE]] / max(self._count, 1)
         return Curvatures(
+            centres=_CENTRES * centres.astype(np.float32),
             log_scales=mean[:, : TURN - CENTRE],
             rotations=mean[:, TURN - CENTRE : OPACITY - CENTRE],
             logits=_OPACITIES * mean[:, OPACITY - CENTRE],

@@ -33,7 +33,8 @@ def _derived_options(source: Source, options: FormatOptions) -> FormatOptions:
 
 
 def _quantisation(splats: Splats, options: FormatOptions) -> Quantisation:
-    return write.quantisation(splats, options.get("bits") or write.USUAL_BITS)
+    bits, spare = options.get("bits") or write.USUAL_BITS, options.get("spare_bits")
+    return write.quantisation(splats, bits, spare)
 
 
 FORMATS = (

@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -307,13 +307,15 @@ def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
     return _spare(splats, scales, precision, low, range_)
 
 
-def quantisation(splats: Splats, bits: int = USUAL_BITS) -> Quantisation:
-    """Return the values that `write` can give a model with `bits`."""
-    fine = Precision(bits)
+def quantisation(splats: Splats, bits: int = USUAL_BITS, spare: int | None = None) -> Quantisation:
+    """Return the values that `write` can give a model with `bits` and `spare`."""
+    fine = Precision(bits, spare)
     scales, colours = _codebooks((splats.log_scales, fine.scales), (splats.sh[:, 0], fine.colours))
+    grid = _grid(splats, scales, fine)
     levels = np.arange(fine.alphas + 1) / fine.alphas
     codes = np.arange(0, CODES, fine.rotation_step)
     return Quantisation(
+        centres=(_centres(splats, grid, 1), _centres(splats, grid, 2)),
         log_scales=np.unique(scales),
         logits=BYTE_LOGITS[_alpha_codes(levels, fine.alphas)],
         colours=np.unique(colours),
@@ -394,20 +396,67 @@ def _stretched(range_: F64, step: int) -> F64:
     return range_ * (LAST_CODE / (LAST_CODE // step * step))
 
 
+class _Grid(NamedTuple):
+    """The codes of centres: signed logarithms in equal steps.
+
+    Attributes:
+        places: (N, 3) float64, places of the centres in steps from the lowest.
+        low: (3,) least signed logarithm of each axis.
+        high: (3,) greatest one.
+        range: (3,) their range, or 1 where it is zero.
+        spare: Number of last bits that all codes leave out.
+    """
+
+    places: F64
+    low: F64
+    high: F64
+    range: F64
+    spare: int
+
+    @property
+    def steps(self) -> int:
+        """The highest place, of the greatest signed logarithm."""
+        return LAST_CODE >> self.spare
+
+
+def _grid(splats: Splats, scales: F32, precision: Precision) -> _Grid:
+    """Place the centres on the grid of a file; `scales` is the codebook of the log-scales."""
+    places = _logarithms(splats)
+    low, high, range_ = _bounds(places)
+    spare = _spare(splats, scales, precision, low, range_)
+    grid = _Grid(places, low, high, range_, spare)
+
+    def place(rows: slice) -> None:
+        places[rows] = (places[rows] - low) / range_ * grid.steps
+
+    parallel.for_each(slices(len(splats)), place)
+    return grid
+
+
+def _centres(splats: Splats, grid: _Grid, step: int) -> F32:
+    """Return the centres, (N, 3), rounded to places that are multiples of the step.
+
+    Those at both ends of an axis stay, since the grid spans them.
+    """
+    ends = (grid.places <= 0) | (grid.places >= grid.steps)
+    places = np.minimum(np.rint(grid.places / step), grid.steps // step) * step
+    logarithms = grid.low + places / grid.steps * grid.range
+    rounded = np.copysign(np.expm1(np.abs(logarithms)), logarithms)
+    return np.where(ends, splats.means, rounded).astype(np.float32)
+
+
 def _codes(splats: Splats, scales: F32, precision: Precision) -> tuple[U16, dict[str, list[float]]]:
     """Quantise the coordinates' signed logarithms to (N, 3) codes; return these and the bounds."""
-    logarithms = _logarithms(splats)
-    low, high, range_ = _bounds(logarithms)
-    step = 1 << _spare(splats, scales, precision, low, range_)
-    steps = LAST_CODE // step
+    grid = _grid(splats, scales, precision)
     codes = np.empty((len(splats), 3), np.uint16)
 
     def encode_rows(rows: slice) -> None:
-        codes[rows] = np.rint((logarithms[rows] - low) / range_ * steps) * step
+        codes[rows] = np.rint(grid.places[rows]) * (1 << grid.spare)
 
     parallel.for_each(slices(len(splats)), encode_rows)
-    highest = low + _stretched(range_, step)
-    return codes, {"mins": low.tolist(), "maxs": np.where(high > low, highest, high).tolist()}
+    highest = grid.low + _stretched(grid.range, 1 << grid.spare)
+    highest = np.where(grid.high > grid.low, highest, grid.high)
+    return codes, {"mins": grid.low.tolist(), "maxs": highest.tolist()}
 
 
 def _morton_order(codes: U16, groups: I64 | None) -> I64:

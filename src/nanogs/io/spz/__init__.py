@@ -31,8 +31,9 @@ def _derived_options(source: Source, options: FormatOptions) -> FormatOptions:
     return {"spare_bits": write.spare_bits(source, options.get("bits") or MOST_BITS)}
 
 
-def _quantisation(_splats: Splats, options: FormatOptions) -> Quantisation:
-    return write.quantisation(options.get("bits") or MOST_BITS, _version(options))
+def _quantisation(splats: Splats, options: FormatOptions) -> Quantisation:
+    bits, spare = options.get("bits") or MOST_BITS, options.get("spare_bits")
+    return write.quantisation(splats, bits, _version(options), spare)
 
 
 def _check_options(options: FormatOptions) -> None:

@@ -399,21 +399,39 @@ def _encoders(fraction: int, version: int, bits: int, buckets: F64) -> list[Enco
     return encoders
 
 
-def quantisation(bits: int, version: int) -> Quantisation:
-    """Return the values that `write` can give a model with `bits`, in a version of the format."""
-    steps = STEPS[bits]
+def quantisation(splats: Splats, bits: int, version: int, spare: int | None) -> Quantisation:
+    """Return the values that `write` can give a model, in a version of the format.
+
+    Args:
+        splats: The model.
+        bits: As for `write`.
+        version: As for `write`.
+        spare: As for `write`.
+
+    Raises:
+        OptionError: As for `write`.
+        OutputError: As for `write`.
+    """
+    steps, fraction = STEPS[bits], fraction_bits(splats, Precision(bits, spare))
     rotations: F64 | None = None
     if bits < MOST_BITS and version == VERSION_SHORT_ROTATIONS:
         rotations = _codes(steps.rotations, _ZERO) / 127.5 - 1
     elif bits < MOST_BITS:
         codes = np.arange(-(MAGNITUDE // steps.magnitudes), MAGNITUDE // steps.magnitudes + 1)
         rotations = codes * np.float64(steps.magnitudes * math.sqrt(0.5) / MAGNITUDE)
+
     return Quantisation(
+        centres=(_on_grid(splats.means, fraction), _on_grid(splats.means, fraction - 1)),
         log_scales=LOG_SCALES[_codes(steps.scales)],
         logits=BYTE_LOGITS[_codes(steps.alphas, _BYTE)],
         colours=COLOURS[_codes(steps.colours, _BLACK)],
         rotations=rotations,
     )
+
+
+def _on_grid(means: F32, bits: int) -> F32:
+    """Return centres, (N, 3), with this number of fraction bits."""
+    return np.ldexp(np.rint(np.ldexp(means.astype(np.float64), bits)), -bits).astype(np.float32)
 
 
 def _codes(step: int, start: int = 0) -> I64:

@@ -7,9 +7,9 @@ from typing import TypeVar
 from nanogs.pipeline.search.file_size import AIM, ENOUGH
 
 MOST_TRIED = 4
-# A coarseness is at most this, and at least its inverse. Within these limits more splats and finer
-# values gain about the same for each byte.
-COARSEST = 2.0
+# Limits of a coarseness. Within these, more splats and finer values gain about the same for each
+# byte; beyond them, another count gains more.
+FINER, COARSEST = 0.8, 1.6
 FINEST = 1 / 64  # if no more splats fit; values are then nearly the nearest
 # How the logarithm of the bytes falls with that of the coarseness: at first, and at least.
 SLOPE, LEAST_SLOPE = 0.05, 0.02
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def fill_by_rounding(
-    packed: Callable[[float], tuple[T, int]], size: int, finest: float = 1 / COARSEST
+    packed: Callable[[float], tuple[T, int]], size: int, finest: float = FINER
 ) -> tuple[T, int]:
     """Round a result more finely or more coarsely, until its file takes most of a size.
 

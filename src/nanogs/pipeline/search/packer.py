@@ -20,8 +20,11 @@ from nanogs.splats import Splats
 
 BLIND = "No view shows the model, so the packing of the file was not chosen by how it looks."
 # Bytes of a file in which fitted values are rounded so that they pack well, over those with the
-# nearest values: 0.89 to 0.97 for trained scenes without harmonics.
-ROUNDED = 0.94
+# nearest values: 0.84 to 0.97 for trained scenes without harmonics. Packings are compared with this
+# share, and the count of the chosen one is corrected by the share that one result has. Harmonics,
+# of which most of a file consists if there are any, are rounded to the nearest: 0.92 to 0.995. The
+# share after a whole fit is mostly a little less than that of a result that is only compared.
+ROUNDED, ROUNDED_HARMONICS, WHOLE = 0.92, 0.98, 0.99
 CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
 
 
@@ -79,6 +82,7 @@ class Packer(Generic[T]):
         files: Writes and measures results.
         progress: Notified of each stage.
         tried: Number of results that were made to choose by.
+        rounded: Share of bytes that rounding left of a file of the latest of these.
     """
 
     results: Results[T]
@@ -87,6 +91,7 @@ class Packer(Generic[T]):
     files: Files[T]
     progress: Tracker
     tried: int = field(default=0, init=False)
+    rounded: float = field(default=1.0, init=False)
     _guesses: dict[Packing, int] = field(default_factory=dict, init=False)
 
     def pack(self) -> ChosenPacking:
@@ -109,16 +114,21 @@ class Packer(Generic[T]):
             choices, self._size, self._slope(choices), self.guess, self._attempt,
             self.results.available,
         )  # fmt: skip
+        if (usual := self._usually_rounded) < 1:
+            count = self.deliverable(round(count * usual / (WHOLE * self.rounded)))
         return packed(packing, count, tried)
 
     @property
-    def _size(self) -> int:
-        """Bytes that files may have whose values are rounded to the nearest, as those compared.
+    def _usually_rounded(self) -> float:
+        """Share of bytes that rounding leaves of a file, before any was made."""
+        if not self.results.fits or self.request.known.quantisation is None:
+            return 1.0
+        return ROUNDED_HARMONICS if self.sample.sh_degree else ROUNDED
 
-        Harmonics, of which most of a file consists if there are any, are always rounded so.
-        """
-        saved = self.results.fits and self.request.known.quantisation is not None
-        return int(self.request.size / (ROUNDED if saved and not self.sample.sh_degree else 1.0))
+    @property
+    def _size(self) -> int:
+        """Bytes that files may have whose values are rounded to the nearest, as those compared."""
+        return int(self.request.size / self._usually_rounded)
 
     def _unseen(self, choices: Choices) -> Packing:
         """Return the packing if nothing is rendered.
@@ -184,12 +194,17 @@ class Packer(Generic[T]):
         part = self.progress.within(self.tried, PACKINGS, stages)
         self.tried += 1
 
-        def measure(result: T) -> list[dict[str, Any]]:
+        def measure(result: T) -> dict[str, Any]:
             part.begin("encode")
-            return [asdict(each) for each in measure_files(partial(self._measure, result))]
+            found = measure_files(partial(self._measure, result))
+            rounded = 1.0
+            if self._usually_rounded < 1:
+                rounded = self.files.bytes_of(result, found[0].options) / found[0].bytes
+            return {"files": [asdict(each) for each in found], "rounded": rounded}
 
-        _, found = brief.make_and_measure(count, measure, part)
-        return [PackingReport(**each) for each in found]
+        _, measured = brief.make_and_measure(count, measure, part)
+        self.rounded = measured["rounded"]
+        return [PackingReport(**each) for each in measured["files"]]
 
     def _measure(self, result: T, packing: Packing) -> PackingReport:
         options = packing.options(self.files.count(result))
