@@ -14,9 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nanogs import parallel
 from nanogs._types import F32, F64, I32
 from nanogs.activations import LEAST_SCALE, SH_C0, rotations
 from nanogs.io.rotations import minimise_rotation, rotations_between, with_w
+from nanogs.slices import slices
 from nanogs.splats import Splats
 
 # Largest changes, since a curvature tells nothing of a picture far away: of log-scales, logits of
@@ -49,11 +51,11 @@ class Curvatures:
 
 
 class Quantisation(NamedTuple):
-    """The values that a format can hold, each kind ascending.
+    """The values that a format can hold.
 
     Attributes:
-        centres: (2, N, 3) float32, the model's centres: rounded as usual, and to every second code.
-        log_scales: (L,) float32.
+        centres: Those of the model, (N, 3) float32, rounded as usual, and to every second code.
+        log_scales: (L,) float32, ascending, as the following.
         logits: (L,) float32, of opacities; -inf and inf stand for `FARTHEST_LOGIT`.
         colours: (L,) float32, SH coefficients of degree 0.
         rotations: (L,) float64, x, y and z of quaternions whose w is the largest component; None
@@ -122,17 +124,23 @@ def _centres(splats: Splats, shown: F32, centres: tuple[F32, F32], price: float)
         centres: See `Quantisation.centres`.
         price: Of a bit.
     """
-    axes, scales = rotations(splats.unit_quats().astype(np.float64)), splats.scales()
-    deviations = np.maximum(scales.astype(np.float64), LEAST_SCALE)
-
-    def error(rounded: F32) -> float:
-        changes = rounded.astype(np.float64) - splats.means
-        shifts = np.einsum("nij,ni->nj", axes, changes) / deviations
-        return float((shown * np.minimum(shifts**2, FARTHEST_SHIFT**2)).sum())
-
     usual, coarser = centres
+
+    def added_error(rows: slice) -> float:
+        some = splats.span(rows.start, rows.stop)
+        axes = rotations(some.unit_quats().astype(np.float64))
+        deviations = np.maximum(some.scales().astype(np.float64), LEAST_SCALE)
+
+        def errors(rounded: F32) -> F64:
+            shifts = np.einsum("nij,ni->nj", axes, rounded[rows] - some.means.astype(np.float64))
+            limited: F64 = np.minimum((shifts / deviations) ** 2, FARTHEST_SHIFT**2)
+            return limited
+
+        return float((shown[rows] * (errors(coarser) - errors(usual))).sum())
+
+    added = sum(parallel.map_ordered(slices(len(splats)), added_error))
     # If a centre is not finite, they stay, and the writer refuses them.
-    return coarser if error(coarser) - error(usual) < price * usual.size else splats.means
+    return coarser if added < price * usual.size else splats.means
 
 
 class _Values(NamedTuple):

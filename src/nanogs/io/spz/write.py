@@ -419,7 +419,6 @@ def quantisation(splats: Splats, bits: int, version: int, spare: int | None) -> 
     elif bits < MOST_BITS:
         codes = np.arange(-(MAGNITUDE // steps.magnitudes), MAGNITUDE // steps.magnitudes + 1)
         rotations = codes * np.float64(steps.magnitudes * math.sqrt(0.5) / MAGNITUDE)
-
     return Quantisation(
         centres=(_on_grid(splats.means, fraction), _on_grid(splats.means, fraction - 1)),
         log_scales=LOG_SCALES[_codes(steps.scales)],
