@@ -20,11 +20,12 @@ from nanogs.splats import Splats
 
 BLIND = "No view shows the model, so the packing of the file was not chosen by how it looks."
 # Bytes of a file in which fitted values are rounded so that they pack well, over those with the
-# nearest values: 0.84 to 0.97 for trained scenes without harmonics. Packings are compared with this
-# share, and the count of the chosen one is corrected by the share that one result has. Harmonics,
-# of which most of a file consists if there are any, are rounded to the nearest: 0.92 to 0.995. The
-# share after a whole fit is mostly a little less than that of a result that is only compared.
-ROUNDED, ROUNDED_HARMONICS, WHOLE = 0.92, 0.98, 0.99
+# nearest values, without and with harmonics, of which most of a file consists: 0.84 to 0.97 and
+# 0.92 to 0.995. Packings are compared with these, and the count of the chosen one is corrected by
+# the share that a result has which is only compared. After a whole fit it is that times `WHOLE`;
+# with harmonics a little more, because rounding could not make a file that is too large fit.
+ROUNDED, ROUNDED_HARMONICS = 0.92, 0.98
+WHOLE, WHOLE_HARMONICS = 0.99, 1.005
 CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
 
 
@@ -115,7 +116,8 @@ class Packer(Generic[T]):
             self.results.available,
         )  # fmt: skip
         if (usual := self._usually_rounded) < 1:
-            count = self.deliverable(round(count * usual / (WHOLE * self.rounded)))
+            whole = WHOLE_HARMONICS if self.sample.sh_degree else WHOLE
+            count = self.deliverable(round(count * usual / (whole * self.rounded)))
         return packed(packing, count, tried)
 
     @property
