@@ -302,9 +302,7 @@ def _codebooks(*wanted: tuple[F32, int]) -> list[F32]:
 def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
     """Compute the default of `spare` that `write` uses for a model and `bits`."""
     precision = Precision(bits)
-    scales = codebook(splats.log_scales, precision.scales)
-    low, _, range_ = _bounds(_logarithms(splats))
-    return _spare(splats, scales, precision, low, range_)
+    return _grid(splats, codebook(splats.log_scales, precision.scales), precision).spare
 
 
 def quantisation(splats: Splats, bits: int = USUAL_BITS, spare: int | None = None) -> Quantisation:
