@@ -18,12 +18,7 @@ from nanogs.fit.descent import TYPICAL, Descent
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.io import registry
-from nanogs.io.rate_distortion import (
-    FARTHEST_LOGIT,
-    MOST_TURN,
-    Curvatures,
-    rounded,
-)
+from nanogs.io.rate_distortion import FARTHEST_LOGIT, MOST_TURN, Curvatures, rounded
 from nanogs.io.rotations import minimise_rotation, rotations_between, with_w
 from nanogs.kernels.rate_distortion import cheapest_levels, cheapest_rotations
 from nanogs.pipeline.outcome import Outcome

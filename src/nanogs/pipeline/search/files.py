@@ -39,9 +39,11 @@ class Files(Protocol[R]):
 
     Attributes:
         clock: Gets the seconds of each stage.
+        latest_filled: The latest result that was rounded to fill a size, and its bytes.
     """
 
     clock: StageClock
+    latest_filled: Latest[tuple[R, int]]
 
     def open_original(self) -> AbstractContextManager[Splats | Source]:
         """Open the original, in its own frame."""
@@ -55,14 +57,21 @@ class Files(Protocol[R]):
         It is returned itself if it was not fitted.
         """
 
+    def curvatures(self, result: R) -> Curvatures | None:
+        """Return how much a result's values show, if they are rounded by it."""
+
+    def packed(self, result: R, options: Options, coarseness: float) -> tuple[R, int]:
+        """Return a result that is rounded with a coarseness, and the bytes of its file."""
+
     def filled(self, result: R, options: Options, size: int) -> tuple[R, int]:
         """Return a result that is delivered, rounded so that its file fills a size, and its bytes.
 
         As no more splats fit, values are as fine as they can be.
         """
-
-    def sample_bytes(self, some: Splats, options: Options) -> int:
-        """Return the size of a file of some splats with options of the format, bytes."""
+        found = self._filling(result, options, size)
+        if found[1] >= ENOUGH * size:
+            return found
+        return fill_by_rounding(partial(self.packed, result, options), size, FINEST)
 
     def bytes_of(self, result: R, options: Options, size: int | None = None) -> int:
         """Return the size of a result's file, rounded as by `rounded`, bytes.
@@ -72,6 +81,19 @@ class Files(Protocol[R]):
             options: Of the format.
             size: Bytes to fill by rounding somewhat more finely or coarsely.
         """
+        if size is None or self.curvatures(result) is None:
+            return self.packed(result, options, 1.0)[1]
+        return self._filling(result, options, size)[1]
+
+    def _filling(self, result: R, options: Options, size: int) -> tuple[R, int]:
+        """Return a result whose rounding fills a size, and its bytes."""
+        packed = partial(self.packed, result, options)
+        return self.latest_filled.of(
+            (result, options, size), lambda: fill_by_rounding(packed, size)
+        )
+
+    def sample_bytes(self, some: Splats, options: Options) -> int:
+        """Return the size of a file of some splats with options of the format, bytes."""
 
     def shows(self) -> bool:
         """Whether the views to choose by show the original, so that files can be compared."""
@@ -96,7 +118,7 @@ class Files(Protocol[R]):
 
 
 @dataclass(eq=False)
-class HeldFiles:
+class HeldFiles(Files[Outcome]):
     """Encodes and measures results of a model in memory; see `Files`.
 
     Attributes:
@@ -114,7 +136,7 @@ class HeldFiles:
     clock: StageClock
     frame: tuple[str, str] | None = None
     by_psnr: bool = False
-    _filled: Latest[tuple[Outcome, int]] = field(default_factory=Latest)
+    latest_filled: Latest[tuple[Outcome, int]] = field(default_factory=Latest)
     _unpacked: Latest[tuple[float, float]] = field(default_factory=Latest)
 
     @cached_property
@@ -139,34 +161,17 @@ class HeldFiles:
         """Return a result whose values are rounded to pack well; see `Files.rounded`."""
         return self._economical(result, options, 1.0)
 
-    def filled(self, result: Outcome, options: Options, size: int) -> tuple[Outcome, int]:
-        """Return a result whose rounding fills a size, and its bytes; see `Files.filled`."""
-        found = self._filling(result, options, size)
-        if found[1] >= ENOUGH * size:
-            return found
-        return fill_by_rounding(partial(self._packed, result, options), size, FINEST)
-
-    def bytes_of(self, result: Outcome, options: Options, size: int | None = None) -> int:
-        """Return the bytes of a result's file; see `Files.bytes_of`."""
-        if size is None or self._curvatures(result) is None:
-            return self._packed(result, options, 1.0)[1]
-        return self._filling(result, options, size)[1]
-
-    def _curvatures(self, result: Outcome) -> Curvatures | None:
-        """Return how much a result's values show, if they are rounded by it."""
+    def curvatures(self, result: Outcome) -> Curvatures | None:
+        """Return how much a result's values show; see `Files.curvatures`."""
         return result.curvatures if registry.writable(self.path).quantisation else None
 
-    def _filling(self, result: Outcome, options: Options, size: int) -> tuple[Outcome, int]:
-        """Return a result whose rounding fills a size, and its bytes."""
-        packed = partial(self._packed, result, options)
-        return self._filled.of((result, options, size), lambda: fill_by_rounding(packed, size))
-
-    def _packed(self, result: Outcome, options: Options, coarseness: float) -> tuple[Outcome, int]:
+    def packed(self, result: Outcome, options: Options, coarseness: float) -> tuple[Outcome, int]:
+        """Return a rounded result and the bytes of its file; see `Files.packed`."""
         small = self._economical(result, options, coarseness)
         return small, self.sample_bytes(small.splats, options)
 
     def _economical(self, result: Outcome, options: Options, coarseness: float) -> Outcome:
-        if (curvatures := self._curvatures(result)) is None:
+        if (curvatures := self.curvatures(result)) is None:
             return result
         with self.clock.time("encode"):
             splats, given = turned(result.splats, self.frame), {**self.given, **options}

@@ -24,8 +24,8 @@ from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.job.rows import opened, sample
 from nanogs.pipeline.options.presets import renders
 from nanogs.pipeline.run import Done, Run
-from nanogs.pipeline.search.coarseness import FINEST, fill_by_rounding
-from nanogs.pipeline.search.file_size import ENOUGH, SIZE_SAMPLE
+from nanogs.pipeline.search.file_size import SIZE_SAMPLE
+from nanogs.pipeline.search.files import Files
 from nanogs.pipeline.search.find import find_result
 from nanogs.pipeline.search.job_results import JobResults, Result, Rounding
 from nanogs.pipeline.search.latest import Latest
@@ -94,7 +94,7 @@ def turned_back(source: Source, result: Result) -> Source:
 
 
 @dataclass(eq=False)
-class JobFiles:
+class JobFiles(Files[Result]):
     """Writes and measures results of a job; see `files.Files`.
 
     Attributes:
@@ -113,7 +113,7 @@ class JobFiles:
     work: Work
     clock: StageClock
     _shown: Latest[Curvatures | None] = field(default_factory=Latest)
-    _filled: Latest[tuple[Result, int]] = field(default_factory=Latest)
+    latest_filled: Latest[tuple[Result, int]] = field(default_factory=Latest)
     _unpacked: Latest[tuple[float, float]] = field(default_factory=Latest)
 
     @cached_property
@@ -136,25 +136,7 @@ class JobFiles:
         """Return a result that is rounded when it is written; see `Files.rounded`."""
         return replace(result, rounding=Rounding(options, 1.0))
 
-    def filled(self, result: Result, options: Mapping[str, Any], size: int) -> tuple[Result, int]:
-        """Return a result whose rounding fills a size, and its bytes; see `Files.filled`."""
-        found = self._filling(result, options, size)
-        if found[1] >= ENOUGH * size:
-            return found
-        return fill_by_rounding(partial(self._packed, result, options), size, FINEST)
-
-    def bytes_of(self, result: Result, options: Mapping[str, Any], size: int | None = None) -> int:
-        """Return the size of a result's file, bytes; see `Files.bytes_of`."""
-        if size is None or self._curvatures(result) is None:
-            return self._packed(result, options, 1.0)[1]
-        return self._filling(result, options, size)[1]
-
-    def _filling(self, result: Result, options: Mapping[str, Any], size: int) -> tuple[Result, int]:
-        """Return a result whose rounding fills a size, and its bytes."""
-        packed = partial(self._packed, result, options)
-        return self._filled.of((result, options, size), lambda: fill_by_rounding(packed, size))
-
-    def _packed(
+    def packed(
         self, result: Result, options: Mapping[str, Any], coarseness: float
     ) -> tuple[Result, int]:
         """Write a result that is rounded; return it and the bytes of its file."""
@@ -166,7 +148,7 @@ class JobFiles:
         ):
             return made, bytes_on_disk(path)
 
-    def _curvatures(self, result: Result) -> Curvatures | None:
+    def curvatures(self, result: Result) -> Curvatures | None:
         """Return how much a result's values show, if it may be held whole to be rounded."""
         sought, count = self.work.settings.search, self.count(result)
         fits = sought is None or sought.most is None or count <= sought.most
@@ -182,7 +164,7 @@ class JobFiles:
             result: The result.
             source: Its splats, in the frame that was asked for.
         """
-        if result.rounding is None or (curvatures := self._curvatures(result)) is None:
+        if result.rounding is None or (curvatures := self.curvatures(result)) is None:
             return source
         options, coarseness = result.rounding
         given = {**self.given, **options}
