@@ -36,6 +36,9 @@ from reference_kernels import cheapest_level, cheapest_rotation, rotation_betwee
 
 FORMATS = [("a.sog", bits) for bits in range(4, 9)] + [("a.spz", bits) for bits in range(4, 9)]
 
+LOOKS = {"views": 2, "view_size": 48, "around": 0, "further": 2, "steps": 4, "sh_degree": 0}
+LONGER = LOOKS | {"further": 18, "steps": 20}
+
 
 def curvatures_of(count, seed=0):
     """Curvatures of which most are small and a few large, as those of scenes."""
@@ -440,9 +443,47 @@ def test_a_size_holds_more_splats_than_with_the_nearest_values(monkeypatch, tmp_
     assert len(small) > 1.03 * len(plain)
 
 
-# In blocks.
+@pytest.mark.parametrize("path", ["a.sog", "a.spz"])
+def test_fitted_values_of_a_known_count_are_rounded_for_its_file(tmp_path, path):
+    original, _ = cloud_pair(3000, degree=0)
+    given_ = {"count": 600}
+    small, report = nanogs.simplify(original, format=path[1:], **given_)
+    plain, _ = nanogs.simplify(original, **given_)
+    nanogs.save(small, tmp_path / path)
+    nanogs.save(plain, tmp_path / f"plain{path[1:]}")
+    taken = (tmp_path / path).stat().st_size
+    assert taken < 0.97 * (tmp_path / f"plain{path[1:]}").stat().st_size
+    ours, nearest = nanogs.compare(original, tmp_path / path, tmp_path / f"plain{path[1:]}").models
+    assert ours.psnr == pytest.approx(nearest.psnr, abs=0.3)
+    assert len(small) == len(plain) == report.achieved_count == 600
+    assert np.array_equal(small.extras["label"], plain.extras["label"])
+    assert report.seconds["encode"] > 0
 
-LOOKS = {"views": 2, "view_size": 48, "around": 0, "further": 2, "steps": 4, "sh_degree": 0}
+
+@pytest.mark.parametrize("given_", [{"preset": "fast"}, {"steps": 19}, {"ratio": 1.0}])
+def test_values_that_no_long_fit_has_measured_are_not_rounded_by_what_shows(given_):
+    original, _ = cloud_pair(600, degree=0)
+    given_ = {"ratio": 0.2} | given_
+    small, _ = nanogs.simplify(original, format=".sog", **given_)
+    plain, _ = nanogs.simplify(original, **given_)
+    for name, column in columns_of(plain).items():
+        assert np.array_equal(columns_of(small)[name], column), name
+
+
+@pytest.mark.parametrize("block", [None, 1100])
+@pytest.mark.parametrize("path", ["a.sog", "a.spz"])
+def test_levels_are_rounded_as_single_files_are(scene, tmp_path, path, block):
+    given_ = LONGER | {"measured": False, "block": block, "frame": ("rdf", "rub")}
+    ratios = (0.5, 0.2)
+    nanogs.write_levels(scene, tmp_path / "levels", ratios, suffix=path[1:], **given_)
+    for number, ratio in enumerate(ratios):
+        alone = tmp_path / f"{number}{path[1:]}"
+        nanogs.simplify_blocks(scene, alone, ratio=ratio, finer=1.0, **given_)
+        level = tmp_path / "levels" / f"level_{number}{path[1:]}"
+        assert level.read_bytes() == alone.read_bytes()
+
+
+# In blocks.
 
 
 @pytest.fixture(scope="module")
@@ -466,6 +507,25 @@ def test_a_size_holds_more_splats_in_blocks_too(scene, tmp_path, monkeypatch, pa
     monkeypatch.setattr("nanogs.pipeline.search.in_blocks.economical", lambda model, *_: model)
     plain = nanogs.simplify_blocks(scene, tmp_path / f"plain{path[1:]}", **given_)
     assert report.achieved_count > 1.02 * plain.achieved_count
+
+
+@pytest.mark.parametrize("path", ["a.sog", "a.spz"])
+def test_files_of_a_known_count_are_smaller_in_blocks_too(scene, tmp_path, monkeypatch, path):
+    given_ = LONGER | {"count": 500, "block": 1100}
+
+    def made(name):
+        report = nanogs.simplify_blocks(scene, tmp_path / f"{name}{path[1:]}", **given_)
+        assert report.achieved_count == 500
+        assert report.blocks.blocks > 1
+        return (tmp_path / f"{name}{path[1:]}").read_bytes()
+
+    whole = made("whole")
+    monkeypatch.setattr("nanogs.pipeline.job.result_writer.economical", lambda model, *_: model)
+    nearest = made("nearest")
+    assert len(whole) < 0.97 * len(nearest)
+    monkeypatch.undo()
+    monkeypatch.setattr("nanogs.pipeline.in_blocks.held_splats", lambda *_: 499)  # no room for it
+    assert made("nearest2") == nearest
 
 
 class Blocks:

@@ -232,12 +232,8 @@ def test_blocks_that_are_not_fitted_are_noted_in_the_report(splats, tmp_path):
     assert none.notes == ("The result was not fitted, because too few views show it.",)
 
 
-@pytest.mark.parametrize("options", [{"preset": "fast", "steps": 0}, {}])
-@pytest.mark.parametrize("block", [500, 10**6])
-@pytest.mark.parametrize("ratio", [0.2, 0.9])
-def test_the_scratch_takes_the_planned_disk_space(
-    scene, tmp_path, monkeypatch, options, block, ratio
-):
+def scratch_sizes(monkeypatch):
+    """Return a list to which the bytes of each job's tables are added at its end."""
     remove, found = BlockJob._remove, []
 
     def measure_and_remove(job, scratch):
@@ -245,12 +241,37 @@ def test_the_scratch_takes_the_planned_disk_space(
         remove(job, scratch)
 
     monkeypatch.setattr(BlockJob, "_remove", measure_and_remove)
+    return found
+
+
+@pytest.mark.parametrize("options", [{"preset": "fast", "steps": 0}, {}])
+@pytest.mark.parametrize("block", [500, 10**6])
+@pytest.mark.parametrize("ratio", [0.2, 0.9])
+def test_the_scratch_takes_the_planned_disk_space(
+    scene, tmp_path, monkeypatch, options, block, ratio
+):
+    found = scratch_sizes(monkeypatch)
     out, chosen = tmp_path / "a.ply", BLOCKS | {"block": block} | options
     nanogs.simplify_blocks(scene, out, ratio=ratio, **chosen)
     overrides = {name: chosen[name] for name in ("views", "view_size", "steps")}
     request = {"preset": chosen["preset"], "overrides": overrides, "output": out, "block": block}
     plan = plan_job(Request(goal=Goal(ratio=ratio), inputs=(scene,), **request))[1]
     assert plan.scratch == pytest.approx(found[0] + out.stat().st_size, rel=0.1)
+
+
+def test_what_values_show_takes_disk_space_if_results_are_rounded(scene, tmp_path, monkeypatch):
+    found, planned = scratch_sizes(monkeypatch), []
+    for suffix in (".ply", ".spz"):
+        chosen = BLOCKS | {"steps": 20, "block": 500}
+        out = tmp_path / f"a{suffix}"
+        report = nanogs.simplify_blocks(scene, out, count=400, **chosen)
+        overrides = {name: chosen[name] for name in ("views", "view_size", "steps")}
+        request = Request(
+            goal=Goal(count=400), inputs=(scene,), output=out, block=500, overrides=overrides
+        )
+        planned.append(plan_job(request)[1].scratch)
+    headers = 128 * 5 * report.blocks.blocks  # of five columns for each block
+    assert found[1] - found[0] - headers == planned[1] - planned[0] == 400 * 44
 
 
 def test_a_level_of_all_splats_takes_no_disk_space_for_groups(scene, splats, tmp_path):

@@ -18,6 +18,7 @@ from nanogs.pipeline.options.presets import (
     DEFAULT_PRESET,
     parameters,
     renders,
+    rounds_for_file,
     with_longer_fit,
 )
 from nanogs.pipeline.options.target import Goal, chooses_packing, shared_in_file, target_of
@@ -79,7 +80,8 @@ def simplify(
             half a per cent more splats exceed it.
         format: Suffix of the file that the result will be saved as, to which `size`, `psnr` and
             `draw_cost` refer. If its splats share harmonics, as in .sog, presets that fit let them
-            share as many before the fit, which makes good a part of the loss.
+            share as many before the fit, which makes good a part of the loss. Fitted values are
+            rounded for .sog and .spz: those that hardly show so that the file is smaller.
         format_options: Options that the file will be saved with, as `save` takes them.
         preset: Name of a preset.
         sh_degree: Degree of the result's spherical harmonics, which are fitted for it; by default
@@ -161,6 +163,9 @@ def simplify(
         else:
             deliver = checked.deliverer(target, threads_used, clock, tracker)
             outcome = deliver(target, clock, tracker)
+            if rounds_for_file(checked.parameters, known):
+                tracker.begin("encode")
+                outcome = files.rounded(outcome, {})
             if size is not None:
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, fields={"achieved_size": achieved})

@@ -16,11 +16,12 @@ from nanogs.formatting import bytes_text
 from nanogs.io import registry
 from nanogs.io.format import options_text
 from nanogs.io.urls import is_url
-from nanogs.memory import allowed_memory, process_memory
+from nanogs.memory import LIBRARIES, allowed_memory, process_memory
 from nanogs.memory_estimates import pictures_bytes
 from nanogs.method.parameters import ForestParameters
 from nanogs.paths import exists
 from nanogs.pipeline.estimates.block_plan import BlockPlan, MemoryLimit, plan_blocks
+from nanogs.pipeline.estimates.memory_blocks import rounding_bytes
 from nanogs.pipeline.job.folder import read_manifest
 from nanogs.pipeline.job.rows import (
     RUN_ROWS,
@@ -30,7 +31,7 @@ from nanogs.pipeline.job.rows import (
     refuse_large_whole,
     segments_of,
 )
-from nanogs.pipeline.options.presets import parameters, renders
+from nanogs.pipeline.options.presets import parameters, renders, rounds_for_file
 from nanogs.pipeline.options.settings import SearchTarget, Settings
 from nanogs.pipeline.options.views import requested_views
 from nanogs.pipeline.reading import open_parts
@@ -170,6 +171,7 @@ def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
             splats, layout, chosen, shares, request.max_memory, request.block, request.block_layout,
             beside=pictures_bytes(PIXELS**2, VIEWS) if seen else 0,
             limit=request.limit, searched=sought is not None,
+            shown=sought is not None or rounds_for_file(chosen, request.written_format),
         )  # fmt: skip
 
     plan = planned(sum(each.splats for each in inputs))
@@ -196,6 +198,7 @@ def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
         search=sought,
         environment=request.environment,
         at_most=request.goal.size is not None,
+        rounded=sought is None and _rounds(request, layout, plan.splats),
     )
     _refuse_small_size(request, settings)
     max_memory = None if request.block else request.max_memory
@@ -257,13 +260,36 @@ def search_target(request: "Request", layout: Layout, splats: int) -> SearchTarg
     return SearchTarget(goal.size, goal.psnr, request.suffix, options, goal.draw_cost, most)
 
 
+def _rounds(request: "Request", layout: Layout, splats: int) -> bool:
+    """Whether results of known counts are rounded, for which each is held whole when written.
+
+    Like `_held_whole`, a job that is resumed does as it began.
+    """
+    if request.block_layout or not rounds_for_file(request.parameters, request.written_format):
+        return False
+    begun = read_manifest(request.folder) if request.resume else None
+    if begun is not None:
+        return bool(begun[0].get("rounded"))
+    most = _most_held(request, layout)
+    return most is None or request.counts(splats, layout.reduced(request.sh_degree))[0] <= most
+
+
 def _held_whole(request: "Request", layout: Layout) -> int | None:
     """Return `SearchTarget.most`; a job that is resumed keeps its own, to pack as it began."""
     begun = read_manifest(request.folder) if request.resume else None
     if begun is None:
-        return held_splats(request.output, row_bytes(layout), request.max_memory)
+        return _most_held(request, layout)
     most: int | None = (begun[0].get("search") or {}).get("most")
     return most
+
+
+def _most_held(request: "Request", layout: Layout) -> int | None:
+    """Return the splats of the largest result that may be held whole; None for any number."""
+    row, allowed = row_bytes(layout), request.max_memory
+    most = held_splats(request.file, row, allowed)
+    if most is None or allowed is None or request.written_format.quantisation is None:
+        return most
+    return max(min(most, (allowed - LIBRARIES) // rounding_bytes(row)), 0)
 
 
 def refuse_full_disk(plan: BlockPlan, folder: Path, scratch: str | None) -> None:

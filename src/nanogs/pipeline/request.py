@@ -193,6 +193,11 @@ class Request:
         return Path(f"level_0{suffix}") if self.ratios else self.output
 
     @property
+    def level_format(self) -> str | None:
+        """Suffix of the file that each level is; None if files hold parts of levels."""
+        return None if self.block_layout else self.level_suffix
+
+    @property
     def written_format(self) -> Format:
         """The format of `file`."""
         return registry.writable(self.file)

@@ -51,7 +51,8 @@ class Done:
         levels: Levels of the results that are delivered.
         fields: Report fields that a search has found, by name.
         notes: Other notes, one sentence each.
-        prepared: Returns what is written of a result: itself, or with values that pack well.
+        prepared: Returns what is written of the result of a search: itself, or with values that
+            pack well.
     """
 
     work: Work

@@ -455,7 +455,7 @@ class Work(Scene):
         """Write the splats of a block in a result after the fit, and what of it is reported."""
         facts = {FITTED: facts_of_fit(report) if report else None}
         columns = columns_of(fitted)
-        if curvatures is not None and self.settings.search is not None:
+        if curvatures is not None and self.settings.keeps_curvatures:
             columns |= columns_of_curvatures(curvatures)
         return self.write(name, columns, facts)
 

@@ -94,6 +94,7 @@ def plan_blocks(
     beside: int = 0,
     limit: MemoryLimit = MemoryLimit.GIVEN,
     searched: bool = False,
+    shown: bool = False,
 ) -> BlockPlan:
     """Plan blocks as large as the memory allows.
 
@@ -108,6 +109,7 @@ def plan_blocks(
         beside: Bytes that the process holds besides its task.
         limit: The reason for `max_memory`.
         searched: Whether the count of the result is searched for.
+        shown: Whether it is kept how much the values of fitted results show.
 
     Raises:
         OptionError: The memory is too little for any block.
@@ -131,7 +133,7 @@ def plan_blocks(
     tasks = held_bytes(held, splats, layout, parameters, share)
     scratch = scratch_bytes(
         splats, block, blocks, layout, parameters, shares,
-        encoded=block_layout is not None, searched=searched,
+        encoded=block_layout is not None, searched=searched, shown=shown,
     )  # fmt: skip
     return BlockPlan(
         splats=splats,

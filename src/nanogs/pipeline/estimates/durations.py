@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from nanogs.block_layouts import Linked
+from nanogs.io import registry
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.estimates.stage_weights import (
@@ -16,7 +17,7 @@ from nanogs.pipeline.estimates.stage_weights import (
     published_stages,
     write_weight,
 )
-from nanogs.pipeline.options.presets import Parameters, renders
+from nanogs.pipeline.options.presets import Parameters, renders, rounds_for_file
 from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.stages import held_stages, level_stages, stages_of
@@ -89,9 +90,17 @@ def simplify_stages(
     """
     once = build_stages(parameters, splats)
     if isinstance(parameters, PaperParameters) or count is not None:
-        return [*once, *delivery_stages(parameters, splats, count or splats)]
+        count = count or splats
+        rounding = rounding_stages(parameters, count, suffix)
+        return [*once, *delivery_stages(parameters, splats, count), *rounding]
     before, after = search_stages(goal.is_measured, parameters, splats, suffix)
     return [*before, *once, *after]
+
+
+def rounding_stages(parameters: Parameters, count: int, suffix: str) -> list[Stage]:
+    """List the stage that rounds the fitted values of a result for its file, if there is one."""
+    known = registry.writable(registry.file_of(suffix))
+    return [Stage("encode", 4 * count / 1e6)] if rounds_for_file(parameters, known) else []
 
 
 def search_stages(
@@ -123,9 +132,24 @@ def search_stages(
     return [], search
 
 
-def levels_stages(parameters: Parameters, splats: int, counts: Sequence[int]) -> list[Stage]:
-    """List the stages of `levels`: those that run once, and one for each level."""
-    each = [delivery_stages(parameters, splats, count) for count in counts]
+def level_parts(parameters: Parameters, splats: int, count: int, suffix: str | None) -> list[Stage]:
+    """List the stages of one level of `levels`; see `levels_stages`."""
+    rounding = rounding_stages(parameters, count, suffix) if suffix else []
+    return [*delivery_stages(parameters, splats, count), *rounding]
+
+
+def levels_stages(
+    parameters: Parameters, splats: int, counts: Sequence[int], suffix: str | None
+) -> list[Stage]:
+    """List the stages of `levels`: those that run once, and one for each level.
+
+    Args:
+        parameters: Parameters of the method.
+        splats: Number of splats of the model.
+        counts: Of the levels.
+        suffix: Of the format that each level is a file of; None if files hold parts of levels.
+    """
+    each = [level_parts(parameters, splats, count, suffix) for count in counts]
     levels = [
         Stage(level_stage(number), sum(stage.weight for stage in stages))
         for number, stages in enumerate(each)

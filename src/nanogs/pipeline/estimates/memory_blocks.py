@@ -27,6 +27,8 @@ _CODES = 2 * 8  # bytes a splat: Morton code and sort order
 _HISTOGRAM = 8 << 16  # bytes of the histogram of a forest's scores, for each balance
 _PLACE = 4 * 8  # bytes of a group: its centre and reach
 _COVER = (3 + 6 + 1) * 8  # bytes of a group as a cover of others: centre, covariance, alpha
+_SHOWN = 11 * 4  # bytes of how much the values of a splat show: see `Curvatures`
+_ROUNDING = 180  # bytes for each splat that rounding works with, measured
 _TRIED = 2  # models compared with the original at a time; growth candidates differ in scales only
 
 
@@ -74,6 +76,14 @@ def block_stages(
     }
 
 
+def rounding_bytes(row: int) -> int:
+    """Return the bytes for each splat of `row` bytes that rounding a whole result for a file takes.
+
+    They are those of the result, of the rounded one, and of the work on a `.sog`, which takes most.
+    """
+    return 2 * row + _SHOWN + _ROUNDING
+
+
 def scratch_bytes(
     splats: int,
     block: int,
@@ -84,6 +94,7 @@ def scratch_bytes(
     *,
     encoded: bool,
     searched: bool = False,
+    shown: bool = False,
 ) -> int:
     """Estimate the bytes of all files of a job at its end, including the results.
 
@@ -96,6 +107,7 @@ def scratch_bytes(
         shares: Share of the splats that each result keeps.
         encoded: Whether results are encoded as chunks before they are assembled.
         searched: Whether the count is searched for; then forests also have the scores of `balance`.
+        shown: Whether it is kept how much the values of fitted results show.
     """
     row, scored = row_bytes(layout), {*parameters.balances}
     balances = len(scored | {parameters.balance} if searched else scored)
@@ -104,6 +116,7 @@ def scratch_bytes(
     held = splats * (row + 8)  # sorted splats with their Morton codes
     held += splats * (8 + 4 * balances) + blocks * balances * _HISTOGRAM  # forests
     held += results * copies * row
+    held += results * _SHOWN * (shown and parameters.steps > 0)
     cut = [share for share in shares if int(share * splats) < splats]  # of the others no group
     groups = sum(int(share * splats) for share in cut)
     held += len(cut) * splats * 2 * 4 + groups * _PLACE  # labels

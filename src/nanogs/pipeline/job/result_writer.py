@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs.block_layouts import Chunked, Linked
+from nanogs.io import economical, registry
 from nanogs.io.atomic import atomic_write, output_error
 from nanogs.io.format import options_text
 from nanogs.pipeline.job.folder import RESULT, refuse_finished
@@ -19,7 +20,7 @@ from nanogs.pipeline.job.rows import opened
 from nanogs.pipeline.run import Done
 from nanogs.pipeline.tasks.chunked import blocks_of
 from nanogs.pipeline.tasks.linked import even_sample, linked_levels, trees_of
-from nanogs.pipeline.tasks.parts import LevelSource, simplify_further
+from nanogs.pipeline.tasks.parts import LevelSource, read_curvatures, simplify_further
 from nanogs.pipeline.work import Work
 from nanogs.progress import PartProgress, Tracker, ignore_progress
 from nanogs.report import SimplifyReport
@@ -100,7 +101,7 @@ class ResultWriter:
                 if not isinstance(self.sink.block_layout, Chunked):
                     on_progress(number, len(done.levels))
                     with result_of(work, level) as source:
-                        filling.add(done.prepared(source))
+                        filling.add(self._prepared(done, level, source))
                 else:
                     filling.add_blocks(blocks_of(work, level, progress.part))
             with self._judge(work, progress) as judge:
@@ -111,6 +112,14 @@ class ResultWriter:
         except OSError as error:
             raise output_error(made, error) from error
         return filling.written
+
+    def _prepared(self, done: Done, level: int, source: Source) -> Source:
+        """Return what is written of a result: itself, or with values that pack well."""
+        curvatures = read_curvatures(done.work, level) if done.work.settings.rounded else None
+        if curvatures is None:
+            return done.prepared(source)
+        path, given = registry.file_of(self.sink.suffix), self.sink.format_options or {}
+        return InMemory(economical(source.load(), curvatures, path, given))
 
     @contextmanager
     def _judge(self, work: Work, progress: Tracker) -> Iterator[FileJudge | None]:

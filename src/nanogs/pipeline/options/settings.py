@@ -26,7 +26,7 @@ FINE, ROUGH = 0, 1  # indices of the coarse levels of the scene
 COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 18, 1 << 15)
 # A job is continued only by the release that began it. The number increases with each change of the
 # job folder's format, or of the results, between releases.
-VERSION = f"{__version__}, 27"
+VERSION = f"{__version__}, 28"
 
 # Steps of the fit of results that are only compared with each other: a share of all, but this many
 # at least. More steps, or corrected errors, hardly change which packing is the best.
@@ -50,6 +50,7 @@ _GIVEN = {
     "asked": "the views (`cameras`, `up`)",
     "sh_degree": "`sh_degree`",
     "sharing": "the format or `palette`",
+    "rounded": "the format",
     "environment": "`environment`",
     "scratch": "`scratch`",
 }
@@ -160,6 +161,7 @@ class Settings:
         environment: The environment beside levels, in words; no task depends on it.
         at_most: Whether the counts are the most that fit into a size, so that all splats are kept
             if fewer are usable.
+        rounded: Whether results of known counts are rounded so that their files pack well.
     """
 
     inputs: tuple[InputFile, ...]
@@ -179,6 +181,7 @@ class Settings:
     search: SearchTarget | None = None
     environment: str = ""
     at_most: bool = False
+    rounded: bool = False
 
     @property
     def splats(self) -> int:
@@ -240,6 +243,11 @@ class Settings:
     def fits(self) -> bool:
         """Whether results are fitted to renders of the original."""
         return self.parameters.steps > 0
+
+    @property
+    def keeps_curvatures(self) -> bool:
+        """Whether it is kept how much the values of fitted results show, to round them by."""
+        return self.rounded or self.search is not None
 
     @property
     def levels(self) -> int:
