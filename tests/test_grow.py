@@ -46,6 +46,22 @@ def test_results_equal_those_of_simplify_in_any_order_and_after_drafts(model, gr
         ]
 
 
+@pytest.mark.parametrize("suffix", [".sog", ".spz", ".ply"])
+def test_results_for_a_file_equal_those_of_simplify_for_it(suffix):
+    model = cloud_pair(3000, degree=0)[0]  # without harmonics, which splats of a .sog would share
+    chosen, bits = {"views": 3, "view_size": 48, "around": 0}, {"bits": 6}
+    options = {} if suffix == ".ply" else {"format_options": bits}
+    grown = nanogs.grow(model, **chosen)
+    small, report = grown.simplify(300, format=suffix, **options)
+    expected, _ = nanogs.simplify(model, count=300, format=suffix, **options, **chosen)
+    assert_same(small, expected)
+    assert ("encode" in report.seconds) == (suffix != ".ply")
+    plain, _ = grown.simplify(300)
+    assert np.array_equal(small.log_scales, plain.log_scales) == (suffix == ".ply")
+    with pytest.raises(OptionError, match="depth"):
+        grown.simplify(300, format=suffix, format_options={"depth": 1})
+
+
 def test_several_threads_get_the_results_of_one(grown):
     counts = [40, 7, 250, 90, 120, 60]
     expected = [(grown.simplify(count)[0], grown.draft(count)) for count in counts]

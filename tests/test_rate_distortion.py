@@ -438,7 +438,7 @@ def test_a_size_holds_more_splats_than_with_the_nearest_values(monkeypatch, tmp_
     assert 0.98 * 9000 <= (tmp_path / "a.sog").stat().st_size == report.achieved_size <= 9000
     found = nanogs.load(tmp_path / "a.sog")
     assert np.isin(np.unique(small.log_scales), np.unique(found.log_scales)).all()
-    monkeypatch.setattr("nanogs.pipeline.search.files.economical", lambda model, *_: model)
+    monkeypatch.setattr("nanogs.pipeline.rounded.economical", lambda model, *_: model)
     plain, _ = nanogs.simplify(original, **given_)
     assert len(small) > 1.03 * len(plain)
 

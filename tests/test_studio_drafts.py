@@ -69,7 +69,7 @@ class Forest:
         self.using -= 1
         return drafted
 
-    def simplify(self, count, *, progress):
+    def simplify(self, count, *, format, progress):  # noqa: A002
         return self.draft(count), SimpleNamespace(stop="target", notes=("a note",))
 
     def measure(self, splats, **options):

@@ -18,7 +18,6 @@ from nanogs.pipeline.options.presets import (
     DEFAULT_PRESET,
     parameters,
     renders,
-    rounds_for_file,
     with_longer_fit,
 )
 from nanogs.pipeline.options.target import Goal, chooses_packing, shared_in_file, target_of
@@ -135,6 +134,7 @@ def simplify(
     frame = checked_frames(frame)
     # Imported here because this imports Numba, which `--help` and `info` do without.
     from nanogs.pipeline.estimates.durations import simplify_stages
+    from nanogs.pipeline.rounded import rounded_for_file
     from nanogs.pipeline.search.files import HeldFiles
     from nanogs.threads import use_threads
 
@@ -154,7 +154,7 @@ def simplify(
             checked.refuse_too_large(target, max_memory, judged=target is None, search=search)
         tracker = Tracker(
             on_step,
-            simplify_stages(checked.parameters, goal, len(checked.rows), target, path.suffix),
+            simplify_stages(checked.parameters, goal, len(checked.rows), target, known),
         )
         files = HeldFiles(path, given, checked.splats, clock, frame, by_psnr=psnr is not None)
         if target is None:
@@ -163,9 +163,9 @@ def simplify(
         else:
             deliver = checked.deliverer(target, threads_used, clock, tracker)
             outcome = deliver(target, clock, tracker)
-            if rounds_for_file(checked.parameters, known):
-                tracker.begin("encode")
-                outcome = files.rounded(outcome, {})
+            outcome = rounded_for_file(
+                outcome, checked.parameters, path, given, frame, clock, tracker
+            )
             if size is not None:
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, fields={"achieved_size": achieved})

@@ -370,12 +370,12 @@ def _stages(request: Request, plan: RequestPlan) -> list[Stage]:
     """List the stages of the call: reading, filters, those of the method, writing, measuring."""
     from nanogs.pipeline.estimates.durations import simplify_stages
 
-    splats, suffix, goal = plan.splats, request.output.suffix, request.goal
+    splats, suffix, goal = plan.splats, request.suffix, request.goal
     count = goal.known_count(splats)
     if goal.size is not None and not request.searches(plan.sh_degree):
         count = max(splats // 10, 1)  # a guess: the size gives the count once the model is read
     stages = reading_stages(request.edits, splats)
-    stages += simplify_stages(request.parameters, goal, splats, count, suffix)
+    stages += simplify_stages(request.parameters, goal, splats, count, request.written_format)
     stages.append(Stage("write", write_weight(suffix, count or splats // 10)))
     return [*stages, measure_stage(splats)] if request.is_compared and not goal.psnr else stages
 

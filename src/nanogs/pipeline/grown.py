@@ -12,7 +12,7 @@ from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.formatting import counted
 from nanogs.io import registry, round_trip_with_size
-from nanogs.io.format import FormatOptions
+from nanogs.io.format import FormatOptions, given_options
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.checks import refuse_device
 from nanogs.pipeline.in_memory import CheckedModel, NanPolicy, check_model
@@ -111,32 +111,47 @@ class Grown:
             return self._plain.make(count, Tracker(None, ())).splats
 
     def simplify(
-        self, count: int, *, progress: Progress | bool | None = None
+        self,
+        count: int,
+        *,
+        format: str = ".ply",  # noqa: A002 - as `nanogs.simplify` calls it
+        format_options: FormatOptions | None = None,
+        progress: Progress | bool | None = None,
     ) -> tuple[Splats, SimplifyReport]:
         """Simplify to a count as `nanogs.simplify` does, without growing the forest again.
 
         Args:
             count: Number of splats to deliver.
+            format: Suffix of the file that the result will be saved as: fitted values are rounded
+                for .sog and .spz. Harmonics are not shared before the fit, as `simplify` does it.
+            format_options: Options that the file will be saved with.
             progress: As `nanogs.simplify` takes it.
 
         Returns:
             The same model as of `nanogs.simplify`, and its report, without the time of growing.
 
         Raises:
-            OptionError: The count is below 1, or above the number of usable splats.
+            OptionError: The count is below 1, or above the number of usable splats; or the format
+                cannot be written, or there is no such option.
             ModelError: Other elements of the file have a row for each splat, which would be lost.
         """
-        from nanogs.pipeline.estimates.durations import delivery_stages
+        from nanogs.pipeline.estimates.durations import count_stages
+        from nanogs.pipeline.rounded import rounded_for_file
 
-        count = self._checked_count(count)
+        count, path = self._checked_count(count), registry.file_of(format)
+        given, known = given_options(format_options), registry.writable(path)
+        registry.keywords(known, given)  # refuses options that the format does not have
         checked, start, clock = self._checked, time.perf_counter(), StageClock()
-        stages = delivery_stages(checked.parameters, self.available, count)
+        stages = count_stages(checked.parameters, self.available, count, known)
         with (
             show_progress(progress) as on_step,
             self._alone(self._making) as (device, threads),
         ):
             tracker = Tracker(on_step, stages)
             outcome = self._delivered(count, clock, tracker)
+            outcome = rounded_for_file(
+                outcome, checked.parameters, path, given, None, clock, tracker
+            )
             tracker.finish()
         report = checked.report(Goal(count=count), count, outcome, threads, clock, start)
         notes = device_notes(self._device, device)

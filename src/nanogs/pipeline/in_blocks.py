@@ -31,8 +31,9 @@ from nanogs.pipeline.job.rows import (
     refuse_large_whole,
     segments_of,
 )
-from nanogs.pipeline.options.presets import parameters, renders, rounds_for_file
+from nanogs.pipeline.options.presets import parameters, renders
 from nanogs.pipeline.options.settings import SearchTarget, Settings
+from nanogs.pipeline.options.target import rounds_for_file
 from nanogs.pipeline.options.views import requested_views
 from nanogs.pipeline.reading import open_parts
 from nanogs.pipeline.tasks.unpack import cost_of

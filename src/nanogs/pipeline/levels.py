@@ -14,9 +14,8 @@ from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.checks import refuse_device
 from nanogs.pipeline.estimates.stage_weights import level_stage
 from nanogs.pipeline.in_memory import CheckedModel, Deliver, NanPolicy, check_model
-from nanogs.pipeline.options.presets import DEFAULT_PRESET, rounds_for_file
+from nanogs.pipeline.options.presets import DEFAULT_PRESET
 from nanogs.pipeline.options.target import Goal, target_count
-from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.request import Request
 from nanogs.progress import Progress, Tracker
 from nanogs.quantities import as_bytes
@@ -145,15 +144,16 @@ def _deliver(
     progress: Progress | bool | None,
 ) -> Iterator[tuple[Splats, SimplifyReport]]:
     """Yield the level of each ratio and count."""
-    from nanogs.pipeline.estimates.durations import level_parts, levels_stages
+    from nanogs.pipeline.estimates.durations import count_stages, levels_stages
+    from nanogs.pipeline.rounded import rounded_for_file
     from nanogs.threads import use_threads  # imported here because it imports Numba
 
-    device, threads, suffix = request.device, request.threads, request.level_format
+    device, threads, known = request.device, request.threads, request.level_format
     counts = [count for _, count in wanted]
     chosen, splats = checked.parameters, len(checked.rows)
     deliver: Deliver | None = None
     with show_progress(progress) as on_step:
-        tracker = Tracker(on_step, levels_stages(chosen, splats, counts, suffix))
+        tracker = Tracker(on_step, levels_stages(chosen, splats, counts, known))
         for number, (ratio, count) in enumerate(wanted):
             start, clock = time.perf_counter(), StageClock()
             # Entered anew for each level, so that the caller's own number of threads applies
@@ -161,26 +161,16 @@ def _deliver(
             with use_device(device) as used, use_threads(threads) as threads_used:
                 deliver = deliver or checked.deliverer(counts[-1], threads_used, clock, tracker)
                 tracker.begin(level_stage(number))
-                part = tracker.within(0, 1, level_parts(chosen, splats, count, suffix))
+                part = tracker.within(0, 1, count_stages(chosen, splats, count, known))
                 outcome = deliver(count, clock, part)
-                if suffix is not None:  # a file for each level
-                    outcome = _rounded(outcome, request, checked.splats, clock, part)
+                if known is not None:  # a file for each level
+                    outcome = rounded_for_file(
+                        outcome, chosen, request.file, request.format_options or {},
+                        request.frame, clock, part,
+                    )  # fmt: skip
             report = checked.report(Goal(ratio), count, outcome, threads_used, clock, start)
             report = replace(report, notes=(*report.notes, *device_notes(device, used)))
             if number == len(wanted) - 1:
                 tracker.finish()
             yield outcome.splats, report
             del outcome  # otherwise it would stay in memory while the next one is made
-
-
-def _rounded(
-    outcome: Outcome, request: Request, original: Splats, clock: StageClock, progress: Tracker
-) -> Outcome:
-    """Return a level whose fitted values are rounded so that its file packs well."""
-    from nanogs.pipeline.search.files import HeldFiles
-
-    if not rounds_for_file(request.parameters, request.written_format):
-        return outcome
-    progress.begin("encode")
-    files = HeldFiles(request.file, request.format_options or {}, original, clock, request.frame)
-    return files.rounded(outcome, {})

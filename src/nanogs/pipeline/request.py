@@ -193,9 +193,9 @@ class Request:
         return Path(f"level_0{suffix}") if self.ratios else self.output
 
     @property
-    def level_format(self) -> str | None:
-        """Suffix of the file that each level is; None if files hold parts of levels."""
-        return None if self.block_layout else self.level_suffix
+    def level_format(self) -> Format | None:
+        """The format of the file that each level is; None if files hold parts of levels."""
+        return None if self.block_layout else self.written_format
 
     @property
     def written_format(self) -> Format:

@@ -216,7 +216,8 @@ class RequestHandler:
         Returns:
             The event with its figures, the model that is shown, and the point on the curve.
         """
-        splats, report = grown.simplify(count, progress=channel.progress("draft"))
+        on_step = channel.progress("draft")
+        splats, report = grown.simplify(count, format=choice.format, progress=on_step)
         shown = show(self._drawable(grown, splats), self._start, len(splats))
         channel(_estimated("made", grown, curve, len(splats)), shown)
         on_step = channel.progress("measure")

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from nanogs.block_layouts import Linked
-from nanogs.io import registry
+from nanogs.io.format import Format
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.estimates.stage_weights import (
@@ -17,9 +17,9 @@ from nanogs.pipeline.estimates.stage_weights import (
     published_stages,
     write_weight,
 )
-from nanogs.pipeline.options.presets import Parameters, renders, rounds_for_file
+from nanogs.pipeline.options.presets import Parameters, renders
 from nanogs.pipeline.options.settings import Settings
-from nanogs.pipeline.options.target import Goal
+from nanogs.pipeline.options.target import Goal, rounds_for_file
 from nanogs.pipeline.stages import held_stages, level_stages, stages_of
 from nanogs.progress import Stage
 
@@ -77,7 +77,7 @@ def _weighed(
 
 
 def simplify_stages(
-    parameters: Parameters, goal: Goal, splats: int, count: int | None, suffix: str
+    parameters: Parameters, goal: Goal, splats: int, count: int | None, known: Format
 ) -> list[Stage]:
     """List the stages of `simplify`.
 
@@ -86,21 +86,13 @@ def simplify_stages(
         goal: The target of the simplification.
         splats: Number of splats of the model.
         count: The count that meets the goal, or None if it has to be searched for.
-        suffix: Suffix of the file that a size refers to.
+        known: Format of the file.
     """
     once = build_stages(parameters, splats)
     if isinstance(parameters, PaperParameters) or count is not None:
-        count = count or splats
-        rounding = rounding_stages(parameters, count, suffix)
-        return [*once, *delivery_stages(parameters, splats, count), *rounding]
-    before, after = search_stages(goal.is_measured, parameters, splats, suffix)
+        return [*once, *count_stages(parameters, splats, count or splats, known)]
+    before, after = search_stages(goal.is_measured, parameters, splats, known.suffix)
     return [*before, *once, *after]
-
-
-def rounding_stages(parameters: Parameters, count: int, suffix: str) -> list[Stage]:
-    """List the stage that rounds the fitted values of a result for its file, if there is one."""
-    known = registry.writable(registry.file_of(suffix))
-    return [Stage("encode", 4 * count / 1e6)] if rounds_for_file(parameters, known) else []
 
 
 def search_stages(
@@ -132,14 +124,25 @@ def search_stages(
     return [], search
 
 
-def level_parts(parameters: Parameters, splats: int, count: int, suffix: str | None) -> list[Stage]:
-    """List the stages of one level of `levels`; see `levels_stages`."""
-    rounding = rounding_stages(parameters, count, suffix) if suffix else []
-    return [*delivery_stages(parameters, splats, count), *rounding]
+def count_stages(
+    parameters: Parameters, splats: int, count: int, known: Format | None
+) -> list[Stage]:
+    """List the stages that make a result of a count from what all counts share.
+
+    Args:
+        parameters: Parameters of the method.
+        splats: Number of splats of the model.
+        count: Of the result.
+        known: Format of its file, for which it may be rounded; None if it has none of its own.
+    """
+    stages = delivery_stages(parameters, splats, count)
+    if known is not None and rounds_for_file(parameters, known):
+        stages.append(Stage("encode", 4 * count / 1e6))
+    return stages
 
 
 def levels_stages(
-    parameters: Parameters, splats: int, counts: Sequence[int], suffix: str | None
+    parameters: Parameters, splats: int, counts: Sequence[int], known: Format | None
 ) -> list[Stage]:
     """List the stages of `levels`: those that run once, and one for each level.
 
@@ -147,9 +150,9 @@ def levels_stages(
         parameters: Parameters of the method.
         splats: Number of splats of the model.
         counts: Of the levels.
-        suffix: Of the format that each level is a file of; None if files hold parts of levels.
+        known: Format that each level is a file of; None if files hold parts of levels.
     """
-    each = [level_parts(parameters, splats, count, suffix) for count in counts]
+    each = [count_stages(parameters, splats, count, known) for count in counts]
     levels = [
         Stage(level_stage(number), sum(stage.weight for stage in stages))
         for number, stages in enumerate(each)

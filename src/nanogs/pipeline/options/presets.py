@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 from nanogs.errors import OptionError, did_you_mean
 from nanogs.fit.parameters import RefitParameters
 from nanogs.formatting import listed
-from nanogs.io.format import Format
 from nanogs.method.paper.parameters import PaperParameters
 from nanogs.method.parameters import ForestParameters
 from nanogs.ranges import known_parameters
@@ -62,9 +61,6 @@ _ELSEWHERE = {
 )
 _SWITCHES = ("guided", "steps")  # parameters that decide which others have an effect
 ROUND = 32  # steps in each round of the fit, about
-# Least steps, each on another view, of a fit that a result of a known count is rounded by: after
-# fewer it is not known what shows elsewhere; see docs/method.md, "Rounding".
-ROUNDED_STEPS = 20
 SEARCHED_STEPS = 84  # least steps of the fit of a result whose packing is searched for
 FORESTS: tuple[str, ...] = tuple(
     name
@@ -210,9 +206,3 @@ def idle_notes(preset: str, chosen: Parameters) -> tuple[str, ...]:
 def renders(chosen: Parameters) -> bool:
     """Whether a method renders views of the original."""
     return isinstance(chosen, ForestParameters) and (chosen.guided or chosen.steps > 0)
-
-
-def rounds_for_file(chosen: Parameters, known: Format) -> bool:
-    """Return whether results of known counts are rounded so that files of the format pack well."""
-    fitted = isinstance(chosen, ForestParameters) and chosen.steps >= ROUNDED_STEPS
-    return fitted and known.quantisation is not None

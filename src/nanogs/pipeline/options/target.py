@@ -11,9 +11,14 @@ from nanogs.errors import OptionError, TooManyError, TooSmallError
 from nanogs.formatting import counted
 from nanogs.io import registry
 from nanogs.io.format import Format, FormatOptions, Sharing
+from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.presets import Parameters, renders
 from nanogs.ranges import is_number
 from nanogs.splats import Splats
+
+# Least steps, each on another view, of a fit that a result of a known count is rounded by: after
+# fewer it is not known what shows elsewhere; see docs/method.md, "Rounding".
+ROUNDED_STEPS = 20
 
 _KINDS = {"count": int, "size": int, "ratio": float, "psnr": float, "draw_cost": float}
 
@@ -229,3 +234,9 @@ def count_for_size(available: int, size: int, file_bytes: Callable[[int], int]) 
         else:
             too_many = middle
     return fits
+
+
+def rounds_for_file(chosen: Parameters, known: Format) -> bool:
+    """Return whether results of known counts are rounded so that files of the format pack well."""
+    fitted = isinstance(chosen, ForestParameters) and chosen.steps >= ROUNDED_STEPS
+    return fitted and known.quantisation is not None

@@ -5,7 +5,7 @@ The one of a scene in blocks is in `in_blocks`.
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -14,7 +14,6 @@ from nanogs.clock import StageClock
 from nanogs.frames import back, turned
 from nanogs.io import (
     derived_options,
-    economical,
     encoded_bytes,
     registry,
     round_trip,
@@ -22,6 +21,7 @@ from nanogs.io import (
 )
 from nanogs.io.rate_distortion import Curvatures
 from nanogs.pipeline.outcome import Outcome
+from nanogs.pipeline.rounded import rounded
 from nanogs.pipeline.search.coarseness import FINEST, fill_by_rounding
 from nanogs.pipeline.search.file_size import ENOUGH
 from nanogs.pipeline.search.latest import Latest
@@ -171,12 +171,11 @@ class HeldFiles(Files[Outcome]):
         return small, self.sample_bytes(small.splats, options)
 
     def _economical(self, result: Outcome, options: Options, coarseness: float) -> Outcome:
-        if (curvatures := self.curvatures(result)) is None:
+        if self.curvatures(result) is None:
             return result
         with self.clock.time("encode"):
-            splats, given = turned(result.splats, self.frame), {**self.given, **options}
-            small = economical(splats, curvatures, self.path, given, coarseness)
-        return replace(result, splats=turned(small, back(self.frame)), curvatures=None)
+            given = {**self.given, **options}
+            return rounded(result, self.path, given, self.frame, coarseness)
 
     def shows(self) -> bool:
         """Return whether any view shows the original; see `Files.shows`."""
