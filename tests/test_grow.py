@@ -46,7 +46,7 @@ def test_results_equal_those_of_simplify_in_any_order_and_after_drafts(model, gr
         ]
 
 
-@pytest.mark.parametrize("suffix", [".sog", ".spz", ".ply"])
+@pytest.mark.parametrize("suffix", [".sog", "meta.json", ".spz", ".ply"])
 def test_results_for_a_file_equal_those_of_simplify_for_it(suffix):
     model = cloud_pair(3000, degree=0)[0]  # without harmonics, which splats of a .sog would share
     chosen, bits = {"views": 3, "view_size": 48, "around": 0}, {"bits": 6}
