@@ -365,8 +365,7 @@ def test_a_worker_knows_the_newest_request_that_replaces_its_job(workers, monkey
         supervisor.cancel("a")
 
     asyncio.run(session())
-    told = [*dict.fromkeys(workers[0].others)]
-    assert told == [(first.id, second), (first.id, third), (first.id, None)]
+    assert workers[0].others == [(first.id, second), (first.id, third), (first.id, None)]
 
 
 def test_the_plot_is_not_filled_for_a_page_that_is_left_or_a_request_that_failed(

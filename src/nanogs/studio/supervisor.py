@@ -50,8 +50,10 @@ class WorkerSupervisor:
             self.queue.put(Job("open"))
         replaced = self.queue.put(job)
         now = self.queue.running
-        if now is not None and self.queue.dropped and (now.kind, now.page) == (job.kind, job.page):
-            self._send(("cancel", (now.id, job)))  # the successor that it may serve is now this job
+        alike = now is not None and (now.kind, now.page) == (job.kind, job.page)
+        if now is not None and self.queue.dropped and alike and now not in replaced:
+            # It was given up earlier: the successor that it may serve is now this job.
+            self._send(("cancel", (now.id, job)))
         self._give_up(replaced, PATIENCE_REPLACED, successor=job)
         self._go_on()
 
