@@ -7,26 +7,29 @@ among files of the first result, since they hardly depend on the other choices. 
 measured on the first result as well; only one that is not far behind gets a result of its own.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from nanogs.io.format import PALETTE
-from nanogs.pipeline.search.file_size import AIM
-from nanogs.pipeline.search.packing import LARGER, OWN_HARMONICS, SMALLER, Choices, Packing
+from nanogs.pipeline.search.measured_files import SIZE_TOLERANCE, MeasuredFiles, slope_of
+from nanogs.pipeline.search.packing import (
+    LARGER_PALETTES,
+    OWN_HARMONICS_FIT,
+    SMALLER_PALETTES,
+    BitValues,
+    Choices,
+    Packing,
+)
 from nanogs.report import PackingReport
 
-# Limits of a measured slope, dB of quality for e times the bytes.
-SLOPES = 2.0, 40.0
-SAVED = 1.2  # first count over the guess: there is room, because coarser bits are mostly the best
-# |log(bytes / size)| up to which a result is not made again with another count: for a packing, and
-# for the bits that are best with it; files that near the size are compared directly.
-NEAR, NEAR_BITS = 0.12, 0.03
-# dB by which a degree or palette may be behind, unfitted, and still be tried.
-BEHIND = 1.5
-STEEPER = 1.5  # times the slope that bits were compared with, from which they are compared again
-FINE = 0.25  # dB by which a packing may be behind the best and still be tried with other bits
+FIRST_COUNT = 1.2  # over the guess: there is room, because coarser bits are mostly the best
+# Like `SIZE_TOLERANCE`, for the bits that are best with a packing: their files are compared
+# directly with each other.
+BITS_TOLERANCE = 0.03
+# dB by which a degree or palette may be behind the best file of the first result, which is not
+# fitted to it, and still get a result of its own.
+BEHIND_UNFITTED = 1.5
+BEHIND = 0.25  # dB by which a packing may be behind the best and still be tried with other bits
 
 MeasureFile = Callable[[Packing], PackingReport]
 """Packs the current result, whose SH degree may be higher than the packing's, and measures it."""
@@ -41,7 +44,7 @@ def choose_packing(
     size: int,
     slope: float,
     guess: Callable[[Packing], int],
-    attempt: MakeAndMeasure,
+    make_and_measure: MakeAndMeasure,
     available: int,
 ) -> tuple[Packing, int, tuple[PackingReport, ...]]:
     """Search for the packing whose file of a given size looks best.
@@ -51,177 +54,94 @@ def choose_packing(
         size: Bytes that the file may have.
         slope: Quality gained by more splats, dB for e times the bytes.
         guess: Estimates how many of the model's own splats fill the size with a packing.
-        attempt: Makes a result and measures files of it.
+        make_and_measure: Makes a result and measures files of it.
         available: Splats of the whole model.
 
     Returns:
         The packing, a count that about fills the size with it, and what was tried in order.
     """
-    search = _Search(choices, size, slope, guess, attempt, available)
-    best = search.begin()
-    first = best
-    if search.own_fit >= OWN_HARMONICS:
-        finest = (choices.own_per_entry, *LARGER[::-1])
-        best = search.climb(first, [replace(first, per_entry=per_entry) for per_entry in finest])
-    elif search.smaller:
-        best = search.climb(first, [replace(first, per_entry=per_entry) for per_entry in SMALLER])
+    files = MeasuredFiles(choices, size, slope, available)
+    search = _Search(choices, files, guess, make_and_measure)
+    first = best = search.begin()
+    if search.own_fit >= OWN_HARMONICS_FIT:
+        finest = choices.own_per_entry, *LARGER_PALETTES[::-1]
+        best = search.climb(first, _with_palettes(first, finest))
+    elif search.tries_smaller:
+        best = search.climb(first, _with_palettes(first, SMALLER_PALETTES))
     if best is first and first.per_entry is not None:
-        best = search.climb(first, [replace(first, per_entry=per_entry) for per_entry in LARGER])
-    lower = [replace(best, sh_degree=degree) for degree in search.promising]
-    best = search.climb(best, lower)
+        best = search.climb(first, _with_palettes(first, LARGER_PALETTES))
+    best = search.climb(best, [replace(best, sh_degree=degree) for degree in search.lower_degrees])
     if first.per_entry is not None:  # without palettes, `begin` has compared the bits
         best = search.compare_bits(best)
-    return search.again(best), search.filling(best), tuple(search.probes)
+    count = files.filling_count(files.file(best))
+    return files.with_derived_options(best), count, tuple(files.reports)
 
 
-def slope_of(choices: Choices, less: PackingReport, more: PackingReport) -> float:
-    """Compute the quality gained by more splats, dB for e times the bytes.
-
-    It is measured from two files that are packed alike.
-    """
-    wider = math.log(more.bytes / less.bytes)
-    rise = choices.quality(more) - choices.quality(less)
-    if wider <= 0 or not math.isfinite(rise):
-        return SLOPES[1]
-    return min(max(rise / wider, SLOPES[0]), SLOPES[1])
-
-
-_Values = tuple[tuple[str, int], ...]
-
-
-def _plain(packing: Packing) -> Packing:
-    return replace(packing, bits=(), derived_options=())
-
-
-def _with_bits(packing: Packing, name: str, value: int) -> Packing:
-    bits = tuple((dict(packing.bits) | {name: value}).items())
-    return replace(packing, bits=bits, derived_options=())
+def _with_palettes(packing: Packing, sizes: Sequence[float | None]) -> list[Packing]:
+    return [replace(packing, per_entry=per_entry) for per_entry in sizes]
 
 
 @dataclass(slots=True)
 class _Search:
-    """A search for the best packing, with the files that it has measured.
+    """A search for the best packing: it makes results, and compares their files.
 
     Attributes:
-        found: Files by packing without bits (degree and splats per entry), then by their bits.
-        promising: Lower degrees that are not far behind although no result was fitted for them.
-        smaller: Whether a smaller palette is not far behind either, so that it is tried.
-        compared_at: The slope that bits were last compared with.
+        choices: What may be chosen.
+        files: The files that were measured.
+        guess: See `choose_packing`.
+        make_and_measure: See `choose_packing`.
+        lower_degrees: SH degrees to be tried, because they are not far behind with the first
+            result, which was not fitted for them.
+        tries_smaller: Whether smaller palettes are to be tried, for the same reason.
     """
 
     choices: Choices
-    size: int
-    slope: float
+    files: MeasuredFiles
     guess: Callable[[Packing], int]
-    attempt: MakeAndMeasure
-    available: int
-    found: dict[Packing, dict[_Values, PackingReport]] = field(default_factory=dict)
-    probes: list[PackingReport] = field(default_factory=list)
-    promising: list[int] = field(default_factory=list)
-    smaller: bool = False
-    compared_at: float = math.inf
+    make_and_measure: MakeAndMeasure
+    lower_degrees: list[int] = field(default_factory=list)
+    tries_smaller: bool = False
 
     def begin(self) -> Packing:
         """Make the first result, and find the best bits for it."""
-        first = self.choices.first
-        saved = SAVED if self.choices.bits else 1.0
-        count = min(max(int(saved * self.guess(first)), 1), self.available)
-        probes = self._tried(
-            first, count, lambda measure: self._measure_files(first, measure, lower=True)
-        )
-        best = self._keep(first, [probe for probe in probes if self._is_packed(probe, first)])
-        found = self._best_file(first)
-        others = [probe for probe in probes if self._promises(probe, found)]
-        self.promising = [each.sh_degree for each in others if each.sh_degree < first.sh_degree]
+        first, files = self.choices.first, self.files
+        count = files.limited((FIRST_COUNT if self.choices.bits else 1.0) * self.guess(first))
+        reports = self._make(first, count, partial(self._measure_first, first))
+        best = files.add(first, [each for each in reports if files.is_packed_as(each, first)])
+        near = [each for each in reports if self._is_promising(each, files.file(best))]
+        degrees = [each.sh_degree for each in near]
+        self.lower_degrees = [degree for degree in degrees if degree < first.sh_degree]
         if first.per_entry is None:
             return self.compare_bits(best)
-        small = replace(first, per_entry=SMALLER[0])
-        self.smaller = any(self._is_packed(each, small) for each in others)
-        return self._make(self.again(best), self._filling(found)) if self._is_far(found) else best
+        smaller = replace(first, per_entry=SMALLER_PALETTES[0])
+        self.tries_smaller = any(files.is_packed_as(each, smaller) for each in near)
+        return self._make_filling(best) if files.is_far(files.file(best)) else best
+
+    def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
+        """Try packings in order while each is better than the last, and return the best."""
+        files = self.files
+        for other in others:
+            tried = self._try(replace(other, bits=self._bits_for(other, best)))
+            if files.value_of(tried) <= files.value_of(best):
+                break
+            best = tried
+        return best
 
     def compare_bits(self, best: Packing) -> Packing:
         """Find the best bits, making results that fill the size while they may change it.
 
         One result does not show how much splats gain with each choice of bits: they gain more if
         nearly all of them fit, and hardly anything if bits are coarse. So bits get a result of
-        their own as long as the quality hoped for is above that measured for others. If only one
-        choice was seen, it stays.
+        their own as long as the quality that they promise is above that measured for others. If
+        only one choice was seen, it stays.
         """
-        files = self.found[_plain(best)]
-        if len(files) == 1:
+        if self.files.number(best) == 1:
             return best
-        best = replace(best, bits=max(files, key=partial(self._hope, best, set())))
+        best = self.files.with_promising_bits(best, filled=set())
         # A result with a palette takes long: the first one is good enough if it leaves room.
-        if best.per_entry is not None and files[best.bits].bytes < self.size:
+        if best.per_entry is not None and self.files.file(best).bytes < self.files.size:
             return best
-        return self._fill(best, NEAR_BITS)
-
-    def _fill(self, packing: Packing, near: float) -> Packing:
-        """Make results that fill the size, each with the bits that promise most by then.
-
-        Args:
-            packing: A packing of which several bits were compared.
-            near: |log(bytes / size)| up to which a result is not made again.
-        """
-        files, made = self.found[_plain(packing)], set[_Values]()
-        while True:
-            best = replace(packing, bits=max(files, key=partial(self._hope, packing, made)))
-            before = files[best.bits]
-            if best.bits in made or not self._is_far(before, near):
-                return best
-            probes = self._again(best, self._filling(before))
-            new = {self._bits_of(probe): probe for probe in probes}
-            files |= {bits: probe for bits, probe in new.items() if bits not in made}
-            made.add(best.bits)
-            less, more = sorted((before, probes[0]), key=lambda each: each.bytes)
-            if more.bytes > (1 + NEAR_BITS) * less.bytes:
-                self.slope = max(self.slope, slope_of(self.choices, less, more))
-
-    def _hope(self, packing: Packing, made: set[_Values], bits: _Values) -> float:
-        """Estimate the best quality, dB, of a result that fills the size with these bits."""
-        file = self.found[_plain(packing)][bits]
-        over, slope = self._over(file), self.slope
-        if over > 0 and bits not in made and packing.per_entry is None:
-            slope = SLOPES[0]  # the loss from fewer splats is not measured yet
-        loss = missing = self.choices.loss(file)
-        if self._is_steep:  # then what more splats diminish is at most the least loss measured
-            counted = (probe for probe in self.probes if probe.count <= file.count)
-            missing = min(map(self.choices.loss, counted))
-        loss += missing * math.expm1(slope * over * math.log(10) / 10)
-        return -10 * math.log10(loss) if loss > 0 else math.inf
-
-    def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
-        """Try packings in order while each is better than the last, and return the best."""
-        for other in others:
-            given = replace(other, bits=self._bits_for(other, best))
-            if self._value(given) <= self._value(best):
-                break
-            best = self._best(given)
-        return best
-
-    def _bits_for(self, packing: Packing, best: Packing) -> _Values:
-        """Return the bits to try a packing with: about those of the best.
-
-        A smaller palette takes too few bytes for fewer bits of its harmonics to save much. A larger
-        one leaves no room for as many as a small one could have.
-        """
-        if packing.per_entry == best.per_entry:
-            return best.bits
-        names = self.choices.bits
-        limited = max if (packing.per_entry or 0) > (best.per_entry or 0) else min
-        return tuple(
-            (name, limited(value, names[name].begin) if names[name].of_harmonics else value)
-            for name, value in best.bits
-        )
-
-    def again(self, packing: Packing) -> Packing:
-        """Return a tried packing for another result of about the same count.
-
-        The options that were derived from its result are fixed in it.
-        """
-        file, chosen = self._file(packing), {PALETTE, *self.choices.bits}
-        derived = [item for item in file.options.items() if item[0] not in chosen]
-        return replace(packing, derived_options=tuple(derived))
+        return self._fill_size(best, BITS_TOLERANCE)
 
     @property
     def own_fit(self) -> float:
@@ -229,61 +149,107 @@ class _Search:
         first = self.choices.first
         if first.per_entry is None:
             return 0.0
-        return self.guess(replace(first, per_entry=self.choices.own_per_entry)) / self.available
+        own = replace(first, per_entry=self.choices.own_per_entry)
+        return self.guess(own) / self.files.available
 
-    def filling(self, packing: Packing) -> int:
-        """Return a count that about fills the size with a packing that was tried."""
-        return self._filling(self._file(packing))
+    def _bits_for(self, packing: Packing, best: Packing) -> BitValues:
+        """Return the bits to try a packing with: about those of the best.
 
-    def _file(self, packing: Packing) -> PackingReport:
-        return self.found[_plain(packing)][packing.bits]
+        A smaller palette takes too few bytes for fewer bits of its harmonics to save much. A larger
+        one leaves no room for as many as a small one could have.
+        """
+        if packing.per_entry == best.per_entry:
+            return best.bits
+        limit = max if (packing.per_entry or 0) > (best.per_entry or 0) else min
+        of_harmonics = {
+            name: limit(value, self.choices.bits[name].search_start)
+            for name, value in best.bits
+            if self.choices.bits[name].of_harmonics
+        }
+        return tuple((dict(best.bits) | of_harmonics).items())
 
-    def _value(self, packing: Packing) -> float:
-        """Return the worth of a degree and palette; results are made if it was not tried yet."""
-        if _plain(packing) not in self.found:
-            best = self._make(packing, self._expected(packing), near=True)
-            if self._is_far(found := self._best_file(packing)):
-                if len(self.found[_plain(packing)]) > 1:  # bits were compared
-                    self._fill(best, NEAR)
+    def _try(self, packing: Packing) -> Packing:
+        """Make results of an SH degree and palette size, if there are none; return the best bits.
+
+        If the first file is far from the size, results follow that fill it.
+        """
+        files = self.files
+        if not files.number(packing):
+            measure_files = partial(self._measure_later, packing, only_near=True)
+            count = self._expected_count(packing)
+            best = files.add(packing, self._make(packing, count, measure_files))
+            if files.is_far(files.file(best)):
+                if files.number(packing) > 1:
+                    self._fill_size(best, SIZE_TOLERANCE)
                 else:
-                    self._make(self.again(best), self._filling(found))
-        return self._worth(self._best_file(packing))
+                    self._make_filling(best)
+        return files.with_best_bits(packing)
 
-    def _make(self, packing: Packing, count: int, *, near: bool = False) -> Packing:
-        measure_files = partial(self._measure_files, packing, near=near)
-        return self._keep(packing, self._tried(packing, count, measure_files))
+    def _expected_count(self, packing: Packing) -> int:
+        """Estimate the count that fills the size, from those for the model's own splats."""
+        before = self.files.latest
+        share = self.guess(packing) / max(self.guess(before), 1)
+        return self.files.limited(self.files.filling_count(self.files.file(before)) * share)
 
-    def _is_far(self, found: PackingReport, near: float = NEAR) -> bool:
-        """Whether a file's size is too far off to show how good one of the right size is."""
-        far = abs(math.log(found.bytes / self.size)) > near
-        return far and self._filling(found) != found.count
+    def _make_filling(self, packing: Packing) -> Packing:
+        """Make a result again with a count that fills the size, and return the best bits."""
+        count = self.files.filling_count(self.files.file(packing))
+        packing = self.files.with_derived_options(packing)
+        return self.files.add(
+            packing, self._make(packing, count, partial(self._measure_later, packing))
+        )
 
-    def _keep(self, packing: Packing, probes: Sequence[PackingReport]) -> Packing:
-        self.found[_plain(packing)] = {self._bits_of(probe): probe for probe in probes}
-        if len(probes) > 1:
-            self.compared_at = self.slope
-        return self._best(packing)
+    def _fill_size(self, packing: Packing, tolerance: float) -> Packing:
+        """Make results that fill the size, each with the bits that promise most by then.
 
-    def _best(self, packing: Packing) -> Packing:
-        """Return a packing that was tried, with its best bits."""
-        return replace(packing, bits=self._bits_of(self._best_file(packing)), derived_options=())
+        Args:
+            packing: A packing of which several bits were compared.
+            tolerance: |log(bytes / size)| up to which a result fills the size.
 
-    def _best_file(self, packing: Packing) -> PackingReport:
-        return max(self.found[_plain(packing)].values(), key=self._worth)
+        Returns:
+            The packing with the bits that promise most in the end.
+        """
+        files, filled = self.files, set[BitValues]()
+        while True:
+            packing = files.with_promising_bits(packing, filled)
+            before = files.file(packing)
+            if packing.bits in filled or not files.is_far(before, tolerance):
+                return packing
+            again = files.with_derived_options(packing)
+            reports = self._make(
+                again, files.filling_count(before), partial(self._measure_neighbours, again)
+            )
+            files.add_more(packing, reports, kept=filled)
+            filled.add(packing.bits)
+            less, more = sorted((before, reports[0]), key=lambda each: each.bytes)
+            if more.bytes > (1 + BITS_TOLERANCE) * less.bytes:
+                files.slope = max(files.slope, slope_of(self.choices, less, more))
 
-    def _is_packed(self, probe: PackingReport, packing: Packing) -> bool:
-        """Whether a file has the degree and palette size of a packing, with any bits."""
-        palette = packing.options(probe.count).get(PALETTE)
-        return probe.sh_degree == packing.sh_degree and probe.options.get(PALETTE) == palette
-
-    def _bits_of(self, probe: PackingReport) -> _Values:
-        names = self.choices.bits
-        return tuple((name, probe.options[name]) for name in names)
-
-    def _measure_files(
-        self, packing: Packing, measure: MeasureFile, *, lower: bool = False, near: bool = False
+    def _make(
+        self, packing: Packing, count: int, measure_files: MeasureFiles
     ) -> list[PackingReport]:
-        """Measure files of a result; of the first one also with other bits, palette and degrees.
+        reports = self.make_and_measure(packing, count, measure_files)
+        self.files.reports += reports
+        return reports
+
+    def _measure_first(self, first: Packing, measure: MeasureFile) -> list[PackingReport]:
+        """Measure files of the first result, also with other bits, palette and degrees."""
+        report = measure(first)
+        reports = [report, *self._measure_bits(first, report, measure)]
+        best = max(reports, key=self.files.value)
+        packing = replace(first, bits=self.files.bits_of(best))
+        if packing.sharing:
+            reports.append(measure(replace(packing, per_entry=SMALLER_PALETTES[0])))
+        for degree in reversed(self.choices.degrees[:-1]):
+            reports.append(measure(replace(packing, sh_degree=degree)))
+            if not self._is_promising(reports[-1], best):
+                break
+        return reports
+
+    def _measure_later(
+        self, packing: Packing, measure: MeasureFile, *, only_near: bool = False
+    ) -> list[PackingReport]:
+        """Measure the file of a result after the first, and of one with a larger palette others.
 
         A small palette loses so much that it hides the effect of bits, so other bits are tried
         again with a larger one.
@@ -291,79 +257,53 @@ class _Search:
         Args:
             packing: How the result is packed.
             measure: Packs the result and measures the file.
-            lower: Whether it is the first result.
-            near: Whether other bits are tried only if the file is near the size, since otherwise
-                another result is made, and not far behind the best.
+            only_near: Whether other bits are tried only if the file is near the size, since
+                otherwise another result is made, and not far behind the best.
         """
+        report, files = measure(packing), self.files
         usual = self.choices.first.per_entry
         larger = usual is not None and (packing.per_entry is None or packing.per_entry < usual)
-        best = measure(packing)
-        probes = [best]
-        if near and (self._is_far(best) or self._worth(best) < self._most - FINE):
-            return probes
-        for name, each in self.choices.bits.items():
-            began = dict(packing.bits)[name]
-            for way in each.ways(began, finer=larger) if lower or larger else ():
-                for value in way:
-                    changed = _with_bits(packing, name, value)
-                    probes.append(measure(changed))
-                    if self._worth(probes[-1]) <= self._worth(best):
-                        break
-                    best, packing = probes[-1], changed
-                if dict(packing.bits)[name] != began:
-                    break
-        if lower and packing.sharing:
-            probes.append(measure(replace(packing, per_entry=SMALLER[0])))
-        for degree in reversed(self.choices.degrees[:-1]) if lower else ():
-            probes.append(measure(replace(packing, sh_degree=degree)))
-            if not self._promises(probes[-1], best):
-                break
-        return probes
+        if not larger:
+            return [report]
+        if only_near and (files.is_far(report) or files.value(report) < files.best_value - BEHIND):
+            return [report]
+        return [report, *self._measure_bits(packing, report, measure, finer=True)]
 
-    def _promises(self, lower: PackingReport, best: PackingReport) -> bool:
-        return self._worth(lower) > self._worth(best) - BEHIND
-
-    @property
-    def _most(self) -> float:
-        """Worth of the best file so far."""
-        return max(self._worth(found) for files in self.found.values() for found in files.values())
-
-    def _worth(self, found: PackingReport) -> float:
-        return self.choices.quality(found) - self.slope * self._over(found)
-
-    def _over(self, found: PackingReport) -> float:
-        """Return log(bytes / size) of a file, as far below 0 as more splats can fill the room."""
-        return max(math.log(found.bytes / self.size), math.log(found.count / self.available))
-
-    def _tried(
-        self, packing: Packing, count: int, measure_files: MeasureFiles
-    ) -> list[PackingReport]:
-        probes = self.attempt(packing, count, measure_files)
-        self.probes += probes
-        return probes
-
-    @property
-    def _is_steep(self) -> bool:
-        """Whether splats gain much more than was believed when bits were compared."""
-        return self.slope > STEEPER * self.compared_at
-
-    def _again(self, packing: Packing, count: int) -> list[PackingReport]:
-        """Make a result of another count for a packing that was tried, and measure its file.
+    def _measure_neighbours(self, packing: Packing, measure: MeasureFile) -> list[PackingReport]:
+        """Measure the file of a result.
 
         If splats gain much more than was believed, files with one bit more or fewer follow.
         """
-        packing = self.again(packing)
         tried = [packing]
-        for name, value in packing.bits if self._is_steep else ():
+        for name, value in packing.bits if self.files.is_steep else ():
             for way in self.choices.bits[name].ways(value):
-                tried += [_with_bits(packing, name, other) for other in way[:1]]
-        return self._tried(packing, count, lambda measure: [*map(measure, tried)])
+                tried += [packing.with_bits(name, other) for other in way[:1]]
+        return [*map(measure, tried)]
 
-    def _expected(self, packing: Packing) -> int:
-        """Estimate the count that fills the size, from those for the model's own splats."""
-        before = self._best([*self.found][-1])
-        share = self.guess(packing) / max(self.guess(before), 1)
-        return min(max(int(self.filling(before) * share), 1), self.available)
+    def _measure_bits(
+        self, packing: Packing, best: PackingReport, measure: MeasureFile, *, finer: bool = False
+    ) -> list[PackingReport]:
+        """Measure files with fewer or more bits, as long as each is better than the one before.
 
-    def _filling(self, found: PackingReport) -> int:
-        return min(max(int(found.count * AIM * self.size / found.bytes), 1), self.available)
+        Args:
+            packing: How the result is packed.
+            best: Its file.
+            measure: Packs the result and measures the file.
+            finer: Whether more bits are tried before fewer.
+        """
+        reports = []
+        for name, option in self.choices.bits.items():
+            start = dict(packing.bits)[name]
+            for way in option.ways(start, finer=finer):
+                for value in way:
+                    changed = packing.with_bits(name, value)
+                    reports.append(measure(changed))
+                    if self.files.value(reports[-1]) <= self.files.value(best):
+                        break
+                    best, packing = reports[-1], changed
+                if dict(packing.bits)[name] != start:
+                    break
+        return reports
+
+    def _is_promising(self, report: PackingReport, best: PackingReport) -> bool:
+        return self.files.value(report) > self.files.value(best) - BEHIND_UNFITTED

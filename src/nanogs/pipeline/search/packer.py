@@ -8,9 +8,10 @@ from typing import Any, Generic
 from nanogs.io.limits import degree_left_out
 from nanogs.pipeline.estimates.stage_weights import PACKINGS
 from nanogs.pipeline.options.target import count_for_size
-from nanogs.pipeline.search.choose_packing import MeasureFiles, choose_packing, slope_of
+from nanogs.pipeline.search.choose_packing import MeasureFiles, choose_packing
 from nanogs.pipeline.search.file_size import guess_count
 from nanogs.pipeline.search.files import Files
+from nanogs.pipeline.search.measured_files import slope_of
 from nanogs.pipeline.search.packing import Choices, Packing, unseen_packing
 from nanogs.pipeline.search.results import Results, T
 from nanogs.pipeline.search.size_request import SizeRequest
@@ -112,7 +113,7 @@ class Packer(Generic[T]):
             return packed(packing, self.guess(packing), (), blind=looks)
         self.progress.begin("pack")
         packing, count, tried = choose_packing(
-            choices, self._size, self._slope(choices), self.guess, self._attempt,
+            choices, self._size, self._slope(choices), self.guess, self._make_and_measure,
             self.results.available,
         )  # fmt: skip
         if (usual := self._usually_rounded) < 1:
@@ -185,7 +186,7 @@ class Packer(Generic[T]):
 
         return slope_of(choices, *map(made, CUTS))
 
-    def _attempt(
+    def _make_and_measure(
         self, packing: Packing, count: int, measure_files: MeasureFiles
     ) -> list[PackingReport]:
         """Make a result of a count and measure its files; see `choose_packing.MakeAndMeasure`."""

@@ -11,14 +11,17 @@ from nanogs.report import PackingReport
 
 # Splats for each entry of the palette: the first try, then larger and smaller palettes.
 FIRST_PER_ENTRY = 8.0
-LARGER, SMALLER = (3.0, 1.5), (32.0, 128.0)
+LARGER_PALETTES, SMALLER_PALETTES = (3.0, 1.5), (32.0, 128.0)
 # Share of all splats that must fit by the guess, which is up to 20 % low, for a finer packing to be
 # worth the splats that it costs: a larger palette, one in which splats have harmonics of their own,
 # more bits, and the most bits. The finest of each kind gains least.
-LARGER_PALETTE, OWN_HARMONICS = 0.77, 0.92
-MORE_BITS, MOST_BITS = 0.7, 0.88
+LARGER_PALETTE_FIT, OWN_HARMONICS_FIT = 0.77, 0.92
+MORE_BITS_FIT, MOST_BITS_FIT = 0.7, 0.88
 # Share of the error of a result that is only compared which would be left after a whole fit.
-LEFT = 0.8
+ERROR_LEFT = 0.8
+
+BitValues = tuple[tuple[str, int], ...]
+"""Options of a format that set its precision, as (name, value)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +41,7 @@ class Packing:
 
     sh_degree: int
     per_entry: float | None = None
-    bits: tuple[tuple[str, int], ...] = ()
+    bits: BitValues = ()
     entries: int = 1 << 16
     derived_options: tuple[tuple[str, int], ...] = ()
 
@@ -49,6 +52,11 @@ class Packing:
             return None
         return Sharing(self.per_entry, self.entries)
 
+    def with_bits(self, name: str, value: int) -> "Packing":
+        """Return the packing with another value of one of `bits`, and without derived options."""
+        bits = tuple((dict(self.bits) | {name: value}).items())
+        return replace(self, bits=bits, derived_options=())
+
     def options(self, count: int) -> dict[str, Any]:
         """Return the format's options for a result of `count` splats."""
         palette = {PALETTE: self.sharing.entries(count)} if self.sharing else {}
@@ -56,19 +64,19 @@ class Packing:
 
 
 @dataclass(frozen=True, slots=True)
-class Bits:
-    """Values of an option that sets the precision of a format.
+class PrecisionOption:
+    """An option that sets the precision of a format, as a number of bits; see `WriteOption`.
 
     Attributes:
-        begin: The value that is tried first, mostly near the best.
+        search_start: The value that is tried first, mostly near the best.
         values: All values, ascending.
-        unseen: The lowest value to use if nothing is rendered.
+        without_rendering: The lowest value to use if nothing is rendered.
         of_harmonics: Whether it concerns only harmonics.
     """
 
-    begin: int
+    search_start: int
     values: Sequence[int]
-    unseen: int
+    without_rendering: int
     of_harmonics: bool = False
 
     def ways(self, present: int, *, finer: bool = False) -> tuple[list[int], list[int]]:
@@ -99,7 +107,7 @@ class Choices:
 
     degrees: Sequence[int]
     palettes: bool
-    bits: Mapping[str, Bits] = field(default_factory=dict)
+    bits: Mapping[str, PrecisionOption] = field(default_factory=dict)
     by_psnr: bool = False
     entries: int = 1 << 16
     own_per_entry: float | None = None
@@ -108,13 +116,12 @@ class Choices:
     def first(self) -> Packing:
         """The packing tried first: all harmonics, and a palette size that is seldom far off."""
         palette = FIRST_PER_ENTRY if self.palettes and self.degrees[-1] else None
-        bits = tuple((name, each.begin) for name, each in self.bits.items())
+        bits = tuple((name, each.search_start) for name, each in self.bits.items())
         return Packing(self.degrees[-1], palette, bits, self.entries)
 
     def quality(self, found: PackingReport) -> float:
         """Return the quality of a file as it would be after a whole fit, dB."""
-        loss = self.loss(found)
-        return -10 * math.log10(loss) if loss > 0 else math.inf
+        return decibels(self.loss(found))
 
     def loss(self, found: PackingReport) -> float:
         """Return the same as an error, like the mean squared error of a PSNR.
@@ -123,7 +130,7 @@ class Choices:
         """
         packed = self._loss(found.psnr, found.ssim)
         unpacked = min(self._loss(found.unpacked_psnr, found.unpacked_ssim), packed)
-        return packed - (1 - LEFT) * unpacked
+        return packed - (1 - ERROR_LEFT) * unpacked
 
     def _loss(self, psnr: float, ssim: float) -> float:
         return math.pow(10, -(psnr if self.by_psnr else quality(psnr, ssim)) / 10)
@@ -132,6 +139,11 @@ class Choices:
     def any(self) -> bool:
         """Whether there is anything to choose."""
         return len(self.degrees) > 1 or self.first.per_entry is not None or bool(self.bits)
+
+
+def decibels(loss: float) -> float:
+    """Return an error, like the mean squared error of a PSNR, as quality in dB."""
+    return -10 * math.log10(loss) if loss > 0 else math.inf
 
 
 def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available: int) -> Packing:
@@ -146,22 +158,24 @@ def unseen_packing(choices: Choices, guess: Callable[[Packing], int], available:
         guess: Estimates how many of the model's own splats fill the size with a packing.
         available: Splats of the whole model.
     """
-    bits = tuple((name, each.unseen) for name, each in choices.bits.items())
+    bits = tuple((name, each.without_rendering) for name, each in choices.bits.items())
     packing = replace(choices.first, bits=bits)
     own = choices.own_per_entry
-    for per_entry in (*LARGER, own) if packing.per_entry is not None else ():
+    for per_entry in (*LARGER_PALETTES, own) if packing.per_entry is not None else ():
         finer = replace(packing, per_entry=per_entry)
-        if guess(finer) < (OWN_HARMONICS if per_entry == own else LARGER_PALETTE) * available:
+        needed = OWN_HARMONICS_FIT if per_entry == own else LARGER_PALETTE_FIT
+        if guess(finer) < needed * available:
             if per_entry != own:
                 return packing
             break
         packing = finer
     shared = packing.per_entry != own and choices.first.per_entry is not None
     for name, each in choices.bits.items():
-        for value in each.ways(each.unseen)[1]:
-            finer = replace(packing, bits=tuple((dict(packing.bits) | {name: value}).items()))
+        for value in each.ways(each.without_rendering)[1]:
+            finer = packing.with_bits(name, value)
             most = shared or value == each.values[-1]
-            if guess(finer) < (MOST_BITS if most else MORE_BITS) * available:
+            needed = MOST_BITS_FIT if most else MORE_BITS_FIT
+            if guess(finer) < needed * available:
                 return packing
             packing = finer
     return packing

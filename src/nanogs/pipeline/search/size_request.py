@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from nanogs.io.format import PALETTE, Format, Sharing
 from nanogs.pipeline.estimates.memory import LEAST_BYTES
-from nanogs.pipeline.search.packing import SMALLER, Bits, Choices, Packing
+from nanogs.pipeline.search.packing import SMALLER_PALETTES, Choices, Packing, PrecisionOption
 
 Options = Mapping[str, Any]
 
@@ -44,7 +44,7 @@ class SizeRequest(NamedTuple):
         if self.looks and self.sh_degree is None:
             degrees = range(highest + 1)
         bits = {
-            name: Bits(
+            name: PrecisionOption(
                 option.search_start,
                 option.values,
                 option.without_rendering or option.search_start,
@@ -83,6 +83,6 @@ class SizeRequest(NamedTuple):
     def smallest(self, degree: int) -> Packing:
         """Return the packing of the smallest files, for a model of an SH degree."""
         choices = self.choices(degree)
-        per_entry = SMALLER[-1] if choices.first.per_entry else None
+        per_entry = SMALLER_PALETTES[-1] if choices.first.per_entry else None
         bits = tuple((name, each.values[0]) for name, each in choices.bits.items())
         return Packing(choices.degrees[0], per_entry, bits, choices.entries)
