@@ -32,6 +32,7 @@ from nanogs.pipeline.request import Request as FileRequest
 from nanogs.pipeline.search.choose_packing import choose_packing
 from nanogs.pipeline.search.files import HeldFiles
 from nanogs.pipeline.search.measured_files import LEAST_SLOPE, MOST_SLOPE, slope_of
+from nanogs.pipeline.search.packer import BLIND, ChosenPacking
 from nanogs.pipeline.search.packing import (
     ERROR_LEFT,
     FIRST_PER_ENTRY,
@@ -279,11 +280,44 @@ def test_a_much_worse_small_palette_is_measured_but_not_attempted(psnr_loss, att
     assert SMALLER_PALETTES[0] in {packing.per_entry for packing, _ in model.files}
 
 
-def test_a_model_that_fits_whole_gets_the_best_sh_degree():
+@pytest.mark.parametrize("own", [None, 1.0])
+def test_a_model_that_fits_whole_gets_the_best_sh_degree(own):
+    """Without a choice of palette, as if it is given, none is tried."""
     model = SyntheticModel(3, 8.0, 7)
-    choices = Choices(range(4), palettes=False)
+    choices = Choices(range(4), palettes=False, own_per_entry=own)
     found, count, _ = choose_packing(choices, 10**9, 5.0, model.guess, model.attempt, 1000)
-    assert (found.sh_degree, count) == (3, 1000)
+    assert (found.sh_degree, found.per_entry, count) == (3, None, 1000)
+    assert {packing.per_entry for packing, _ in model.made} == {None}
+
+
+@pytest.mark.parametrize("palettes", [False, True])
+def test_a_packing_without_bits_to_choose_is_tried_once(palettes):
+    """Its file is a fifth smaller than asked; only with a palette is that too far off."""
+    model = SyntheticModel(3, 8.0, 7)
+    choices = Choices([3], palettes)
+    found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    made = [count for packing, count in model.made if packing.per_entry == found.per_entry]
+    assert len(made) == 1 + palettes
+
+
+@pytest.mark.parametrize(("guessed", "results"), [(0.97, 1), (1.04, 2)])
+def test_a_result_with_a_palette_is_made_again_only_if_it_leaves_no_room(guessed, results):
+    class Near(SyntheticModel):
+        """The first result takes about the size."""
+
+        def guess(self, packing):
+            return int(guessed / 1.2 * SIZE / self.bytes_of(packing, 1000) * 1000)
+
+    model = Near(3, FIRST_PER_ENTRY, 6)
+    choices = Choices([3], palettes=True, bits=BITS)
+    found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    assert (found.per_entry, found.bits) == (FIRST_PER_ENTRY, (("bits", 6),))
+    made = [count for packing, count in model.made if packing.per_entry == FIRST_PER_ENTRY]
+    assert len(made) == results
+    # In each direction, bits are tried until they are worse.
+    first = [packing for packing, count in model.files if count == made[0]]
+    assert [dict(each.bits)["bits"] for each in first[:3]] == [6, 5, 7]
+    assert first[3].per_entry == SMALLER_PALETTES[0]
 
 
 @pytest.mark.parametrize(("fitting", "tried"), [(920, True), (919, False)])
@@ -386,6 +420,46 @@ def test_bits_are_compared_at_the_requested_size():
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
 
 
+def test_more_bits_are_tried_although_fewer_splats_seem_to_lose_too_much():
+    """By the slope, which is three times too steep, 7 bits are worse by 0.3 dB, not 0.6 better."""
+
+    class Near(SyntheticModel):
+        """The first result takes about the size; fewer bits than 6 lose much."""
+
+        def guess(self, packing):
+            return int(0.99 / 1.2 * SIZE / self.bytes_of(packing, 1000) * 1000)
+
+        def seen(self, packing, count):
+            found = super().seen(packing, count)
+            return replace(found, psnr=found.psnr - 3 * (dict(packing.bits)["bits"] < 6))
+
+    model = Near(0, 8.0, 7)
+    model.bit = 0.6
+    choices = Choices([0], palettes=False, bits=BITS)
+    found, _, _ = choose_packing(choices, SIZE, 15.0, model.guess, model.attempt, 10**9)
+    assert found.bits == (("bits", 7),)
+
+
+def test_bits_of_which_no_count_fills_the_size_are_made_again_once():
+    class Jumping(SyntheticModel):
+        """Files take 20 % more from a count on, so that none takes about the size."""
+
+        def bytes_of(self, packing, count):
+            found = super().bytes_of(packing, count)
+            return found if found < 0.95 * SIZE else int(1.2 * found)
+
+        def attempt(self, packing, count, look):
+            assert len(self.made) < 20, "the search goes on for ever"
+            return super().attempt(packing, count, look)
+
+    model = Jumping(0, 8.0, 6)
+    choices = Choices([0], palettes=False, bits=BITS)
+    found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    assert found.bits == (("bits", 6),)
+    made = [dict(packing.bits)["bits"] for packing, _ in model.made[1:]]
+    assert len(made) == len({*made})
+
+
 def test_the_gain_of_more_splats_is_measured_near_the_requested_size():
     """Near the whole model it is larger than smaller cuts suggest, by which 8 bits are best."""
 
@@ -446,10 +520,34 @@ def test_the_slope_is_the_quality_gained_by_more_splats():
     assert slope_of(choices, less, replace(more, psnr=less.psnr + 20)) == MOST_SLOPE
     assert slope_of(choices, less, replace(more, psnr=less.psnr)) == LEAST_SLOPE
     assert slope_of(choices, less, less) == MOST_SLOPE
+    exact = [replace(each, psnr=math.inf) for each in (less, more)]
+    assert slope_of(choices, *exact) == MOST_SLOPE, "of two files without loss it is not known"
     by_psnr = replace(choices, by_psnr=True)
     better = replace(more, ssim=1.0)
     assert slope_of(by_psnr, less, better) == pytest.approx(6)
     assert slope_of(choices, less, better) > 10
+
+
+BETTER, ONLY = "because the file looks better without them", "because nothing else fits"
+LIMIT = "and .sog holds none above degree 3"
+
+
+@pytest.mark.parametrize(
+    ("kept", "highest", "wanted", "tight", "expected"),
+    [
+        (3, 3, 3, False, None),
+        (1, 2, 2, False, BETTER),
+        (0, 2, 2, True, ONLY),
+        (1, 3, 4, False, f"{BETTER}, {LIMIT}"),
+        (0, 3, 4, True, f"{ONLY}, {LIMIT}"),
+        (3, 3, 4, False, ".sog holds no more"),
+    ],
+)
+def test_a_note_says_why_harmonics_are_left_out(kept, highest, wanted, tight, expected):
+    chosen = ChosenPacking(Packing(kept), 9, (), highest, wanted, ".sog", tight)
+    start = f"Spherical harmonics above degree {kept} are left out, "
+    assert chosen.notes == ((f"{start}{expected}.",) if expected else ())
+    assert replace(chosen, blind=True).notes == (BLIND, *chosen.notes)
 
 
 # ---- harmonics shared by splats -----------------------------------------------------------------
