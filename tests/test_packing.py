@@ -256,6 +256,50 @@ def test_bits_of_harmonics_are_no_choice_for_files_without_harmonics():
     assert "sh_bits" in with_some
 
 
+BOTH = {"bits", "sh_bits"}
+
+
+@pytest.mark.parametrize(
+    ("suffix", "degree", "asked", "degrees", "palettes", "bits"),
+    [
+        (".sog", 3, {}, [0, 1, 2, 3], True, BOTH),
+        (".sog", 4, {"most": 9}, [0, 1, 2, 3], True, BOTH),  # it always has a palette
+        (".spz", 4, {"most": 10**6}, [0, 1, 2, 3, 4], True, BOTH),
+        (".spz", 4, {"most": 9}, [0, 1, 2, 3, 4], False, BOTH),  # a palette takes too much memory
+        (".sog", 3, {"looks": False}, [3], True, BOTH),
+        (".sog", 3, {"sh_degree": 1}, [1], True, BOTH),
+        (".sog", 2, {"sh_degree": 3}, [2], True, BOTH),
+        (".sog", 2, {"given": {"palette": 9, "bits": 6}}, [0, 1, 2], False, {"sh_bits"}),
+        (".html", 4, {}, [3], False, set()),  # which is not read again, to be measured
+        (".splat", 3, {}, [0], False, set()),
+    ],
+)
+def test_the_format_and_the_request_decide_what_is_chosen(
+    suffix, degree, asked, degrees, palettes, bits
+):
+    known = registry.writable(Path(f"a{suffix}"))
+    choices = SizeRequest(9000, known, **{"given": {}, **asked}).choices(degree)
+    assert ([*choices.degrees], choices.palettes, {*choices.bits}) == (degrees, palettes, bits)
+    assert choices.any == (palettes or bool(bits))
+    assert choices.own_per_entry == (1.0 if suffix == ".sog" else None)
+
+
+def test_a_degree_a_palette_or_bits_leave_a_choice():
+    assert Choices([0, 1], palettes=False).any
+    assert Choices([3], palettes=True).any
+    assert Choices([0], palettes=False, bits=BITS).any
+    assert not Choices([0], palettes=True).any, "without harmonics there is no palette"
+
+
+def test_the_smallest_packing_has_the_fewest_bits_entries_and_harmonics():
+    request = SizeRequest(9000, registry.writable(Path("a.sog")), {})
+    fewest = Packing(0, SMALLER[-1], (("sh_bits", 2), ("bits", 4)))
+    assert request.smallest(3) == fewest
+    assert request._replace(sh_degree=2).smallest(3) == replace(fewest, sh_degree=2)
+    given = request._replace(given={"palette": 9, "sh_bits": 8})
+    assert given.smallest(3) == Packing(0, None, (("bits", 4),))
+
+
 def test_a_much_worse_sh_degree_is_measured_but_not_attempted():
     model = SyntheticModel(3, 8.0, 7)
     choose_packing(Choices(range(4), palettes=True), SIZE, 5.0, model.guess, model.attempt, 10**9)
