@@ -481,6 +481,9 @@ def test_a_size_that_no_count_uses_up_is_found_with_plain_cuts():
     assert made["full"] == [result]
     assert found.stop is StopReason.STEP
     assert [probe.count for probe in found.probes] == [*made["plain"], result]
+    made["plain"].clear()
+    fit_size(Noted(), 100_000, 300, bytes_of, Tracker(None, []), near=True)
+    assert made["plain"] == [], "a guess from full results is not improved by plain cuts"
 
 
 @pytest.mark.parametrize(

@@ -276,6 +276,8 @@ def test_a_page_uses_the_size_that_the_viewer_leaves(tmp_path):
 def test_a_search_that_ends_early_says_so():
     fitted = search_fit(lambda count: 4000 + count.bit_length(), 10**6, 1, 1, 10**99)
     assert (len(fitted.probes), fitted.stop) == (MOST_PROBES, "settled")
+    counts = [probe.count for probe in fitted.probes]
+    assert counts == [16**power for power in range(MOST_PROBES)]
     assert "no larger one was found in the allowed number of tries" in fitted.leap(10**6, 10**99)[0]
 
 
@@ -286,6 +288,7 @@ def test_the_file_that_is_named_as_too_large_has_more_splats():
     assert note.endswith("because a file of 959 splats takes 1,200 B.")
     fitted = FittedSize(950, 900, (SizeProbeReport(990, 1300), *probes), StopReason.STEP)
     assert fitted.leap(1000, 2000) == (note,), "the smallest of those"
+    assert FittedSize(950, 900, ()).leap(1000, 2000) == (), "nothing was tried"
 
 
 def test_a_size_below_any_file_is_found_out_soon():
@@ -311,6 +314,37 @@ def test_the_first_guess_is_from_splats_of_the_whole_model():
 
     guess = guess_count(sample, 10**7, 10**6, encode)
     assert guess == pytest.approx((0.993 * 10**6 - 5000) / 20, rel=0.001)
+
+
+@pytest.mark.parametrize(("fits", "expected"), [(True, 300), (False, 1)])
+def test_the_first_guess_is_a_count_that_the_model_has(fits, expected):
+    """Also if more splats take no more bytes, or if not even one splat fits."""
+    for growing in (0, 5):
+        sample = random_splats(300)
+
+        def encode(some, growing=growing):
+            return 1000 + growing * len(some)
+
+        size = 10**6 if fits else 900
+        assert guess_count(sample, 300, size, encode) == (expected if growing else 300)
+        one = sample.take(np.arange(1))
+        assert guess_count(one, 1, size, encode) == 1
+
+
+def test_a_guess_that_is_much_too_large_is_corrected_at_once():
+    fitted = search_fit(lambda count: 25 * count, 2500, 1000, 1, 10**6)
+    assert [probe.count for probe in fitted.probes] == [1000, 99]
+
+
+def test_a_jump_of_the_size_is_located_to_a_hundredth():
+    def bytes_of(count):
+        return 10 * count + 80_000 * (count > 5000)
+
+    for guess in (3000, 7000):
+        fitted = search_fit(bytes_of, 100_000, guess, 1, 10**6)
+        assert fitted.stop == "step"
+        over = min(probe.count for probe in fitted.probes if probe.bytes > 100_000)
+        assert fitted.count + 1 < over <= 1.01 * fitted.count
 
 
 @pytest.mark.parametrize(
