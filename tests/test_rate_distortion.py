@@ -2,6 +2,7 @@
 
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,15 +19,26 @@ from nanogs.fit.descent import TYPICAL, Descent
 from nanogs.fit.parameters import RefitParameters
 from nanogs.fit.targets import Fitting, make_target
 from nanogs.io import registry
-from nanogs.io.rate_distortion import FARTHEST_LOGIT, MOST_TURN, Curvatures, rounded
+from nanogs.io.rate_distortion import (
+    FARTHEST_LOGIT,
+    MOST_COLOUR,
+    MOST_LOGIT,
+    MOST_TURN,
+    Curvatures,
+    rounded,
+)
 from nanogs.io.rotations import minimise_rotation, rotations_between, with_w
 from nanogs.kernels.rate_distortion import cheapest_levels, cheapest_rotations
+from nanogs.pipeline.options.settings import SearchTarget
 from nanogs.pipeline.outcome import Outcome
-from nanogs.pipeline.search.coarseness import COARSEST, FINER, fill_by_rounding
+from nanogs.pipeline.search.coarseness import COARSEST, FINER, FINEST, fill_by_rounding
 from nanogs.pipeline.search.files import HeldFiles
+from nanogs.pipeline.search.in_blocks import JobFiles
+from nanogs.pipeline.search.job_results import Result
 from nanogs.pipeline.tasks.parts import columns_of_curvatures, read_curvatures
 from nanogs.raster.rendering import prepare
 from nanogs.report import StopReason
+from nanogs.source import InMemory
 from nanogs.splats import RenderMode
 from nanogs.store.columns import columns_of, count_of
 from nanogs.store.scratch import FolderScratch
@@ -62,6 +74,13 @@ def model_of(count=3000, seed=0):
     model.sh[:] *= 0.5
     model.log_scales[:] = np.clip(model.log_scales, -9, 5)
     return model
+
+
+def reordered(model):
+    """Quaternions of rotations that are as small as possible, and (N, 3) which axis is which."""
+    axes = np.tile(np.arange(3, dtype=np.float32), (len(model), 1))
+    quats, order = minimise_rotation(replace(model, log_scales=axes))
+    return quats, order.astype(int)
 
 
 def quantisation_of(model, path, **options):
@@ -207,6 +226,48 @@ def test_nothing_moves_where_nothing_shows():
     small = rounded(model, without_curvature(400), levels)
     nearest = levels.colours[np.abs(model.sh[..., None] - levels.colours).argmin(axis=-1)]
     assert (small.sh == nearest).all()
+    assert small.means is model.means
+
+
+def test_values_that_are_not_finite_stay_and_others_are_rounded_as_without_them():
+    model, curvatures = model_of(), curvatures_of(3000)
+    levels = quantisation_of(model, "a.spz", bits=7)
+    plain = rounded(model, curvatures, levels)
+    odd = replace(model, opacity_logits=model.opacity_logits.copy(), sh=model.sh.copy())
+    odd.opacity_logits[:2] = -np.inf, np.inf
+    odd.sh[2, 0, 1] = np.nan
+    small = rounded(odd, curvatures, levels)
+    assert small.opacity_logits[:2].tolist() == [-np.inf, np.inf]
+    assert np.flatnonzero(np.isnan(small.sh)).tolist() == [2 * 3 + 1]
+    assert (small.opacity_logits[2:] != plain.opacity_logits[2:]).mean() < 0.05
+    assert (small.sh[3:] != plain.sh[3:]).mean() < 0.05
+
+
+def test_values_change_at_most_by_their_limits():
+    """A curvature tells nothing of a picture far away, so that a cheap code may be too far."""
+    model, curvatures = model_of(), without_curvature(3000)
+    model.opacity_logits[:] = np.clip(model.opacity_logits, -5, 5)
+    curvatures.log_scales[:] = 1  # so that a bit has a price
+    small = rounded(model, curvatures, quantisation_of(model, "a.sog", bits=8))
+    turns = rotations_between(reordered(model)[0], small.quats.astype(float))
+    changes = [
+        (small.opacity_logits.astype(float) - model.opacity_logits, MOST_LOGIT),
+        (small.sh.astype(float) - model.sh, MOST_COLOUR),
+        (np.linalg.norm(turns, axis=1), MOST_TURN + 1e-6),
+    ]
+    for change, most in changes:
+        assert 0.9 * most < np.abs(change).max() <= most
+
+
+def test_curvatures_follow_the_axes_where_these_get_another_order():
+    model, curvatures = model_of(), without_curvature(3000)
+    curvatures.log_scales[:, 0] = curvatures.rotations[:, 0] = 1
+    small = rounded(model, curvatures, quantisation_of(model, "a.sog", bits=6))
+    quats, order = reordered(model)
+    changes = small.log_scales - np.take_along_axis(model.log_scales, order, axis=1)
+    turns = rotations_between(quats, small.quats.astype(float))
+    for change in np.abs([changes, turns]):
+        assert change[order == 0].mean() < 0.5 * change[order != 0].mean()
 
 
 # Centres.
@@ -257,11 +318,9 @@ def errors_of_centres(model, curvatures, levels):
 
 def price_of(model, curvatures, levels):
     """The error that a bit saves, from the errors of rounding all other values to the nearest."""
-    quats, order = minimise_rotation(
-        replace(model, log_scales=np.tile(np.arange(3, dtype=np.float32), (len(model), 1)))
-    )
+    quats, order = reordered(model)
     turned = with_w(nearest_of(quats[:, 1:], levels.rotations))
-    shown = np.take_along_axis(curvatures.rotations, order.astype(int), axis=1)
+    shown = np.take_along_axis(curvatures.rotations, order, axis=1)
     errors = [shown * rotations_between(quats, turned) ** 2]
     logits = np.clip(levels.logits, -FARTHEST_LOGIT, FARTHEST_LOGIT)
     for values, curvature, some in (
@@ -280,12 +339,13 @@ def nearest_of(values, levels):
     return levels[np.abs(values[..., None] - levels).argmin(axis=-1)]
 
 
-def test_one_tiny_splat_does_not_keep_all_centres_fine():
+@pytest.mark.parametrize("log_scale", [-60, -200])
+def test_one_tiny_splat_does_not_keep_all_centres_fine(log_scale):
     """Its error is limited: once it is beside itself, moving on changes nothing more."""
     model, curvatures = model_of(), curvatures_of(3000)
     curvatures.centres[:] = 0
     curvatures.centres[0] = 1e-3
-    model.log_scales[0] = -60
+    model.log_scales[0] = log_scale
     levels = quantisation_of(model, "a.spz", bits=7, spare_bits=0)
     assert np.array_equal(rounded(model, curvatures, levels).means, levels.centres[1])
 
@@ -346,6 +406,31 @@ def test_a_size_that_does_not_depend_on_rounding_ends_the_search():
 
     assert fill_by_rounding(packed, 995) == (1.0, 1000)
     assert len(tried) <= 3
+
+
+def test_a_coarseness_follows_from_how_the_size_has_changed_before():
+    """At first twice too far, because files change twice as fast as usual."""
+    tried = []
+
+    def packed(coarseness):
+        tried.append(coarseness)
+        return coarseness, round(1000 * coarseness**-0.1)
+
+    found, size = fill_by_rounding(packed, 1100, FINEST)
+    assert (found, size) == (tried[-1], pytest.approx(0.993 * 1100, abs=1))
+    assert len(tried) == 3
+
+
+@pytest.mark.parametrize(("last", "expected"), [(1090, 4), (1040, 0)])
+def test_a_result_is_rounded_five_times_at_most(last, expected):
+    sizes, tried = iter([1000, 1200, 960, 1150, last]), []
+
+    def packed(coarseness):
+        tried.append((coarseness, next(sizes)))
+        return tried[-1]
+
+    assert fill_by_rounding(packed, 1100, FINEST) == tried[expected]
+    assert len(tried) == 5
 
 
 # Curvatures of a fit.
@@ -567,3 +652,21 @@ def test_curvatures_of_blocks_are_read_in_order_and_typical_where_there_was_no_f
         assert values[5:8] == pytest.approx(np.stack([typical] * 3))
     assert read_curvatures(Blocks(scratch, columns, 11), 0) is None  # some were merged afterwards
     assert read_curvatures(Blocks(scratch, columns[1:2], 3), 0) is None
+
+
+@pytest.mark.parametrize(
+    ("path", "most", "is_rounded"),
+    [("a.spz", None, True), ("a.spz", 5, True), ("a.spz", 4, False), ("a.ply", 5, False)],
+)
+def test_only_a_result_that_is_held_whole_is_rounded(tmp_path, path, most, is_rounded):
+    scratch = FolderScratch(tmp_path)
+    scratch.prepare()
+    model, curvatures = random_splats(5, degree=0), curvatures_of(5)
+    work = Blocks(scratch, [columns_of(model) | columns_of_curvatures(curvatures)], 5)
+    work.settings = SimpleNamespace(search=SearchTarget(9000, None, ".spz", "{}", most=most))
+    files = JobFiles(tmp_path / path, {}, tmp_path, None, work, StageClock())
+    small = files.rounded(Result(work, 0), {"bits": 5})
+    assert (files.curvatures(small) is not None) == is_rounded
+    source = InMemory(model)
+    assert (files.prepared(small, source) is not source) == is_rounded
+    assert files.prepared(Result(work, 0), source) is source, "to the nearest values"
