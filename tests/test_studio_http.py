@@ -48,12 +48,14 @@ def test_the_page_has_strict_security_headers(studio):
     assert status == 200
     assert b"scene.ply" in body
     policy = headers["content-security-policy"]
-    assert "default-src 'none'" in policy
+    for kind in ("default-src", "base-uri", "form-action", "frame-ancestors"):
+        assert f"{kind} 'none'" in policy.split("; ")
     assert not re.search(r"https?:|\*|unsafe-eval'(?<!wasm-unsafe-eval')", policy)
     assert headers["referrer-policy"] == "no-referrer"
     assert headers["x-content-type-options"] == "nosniff"
     assert headers["cache-control"] == "no-store"
     assert headers["x-frame-options"] == "DENY"
+    assert headers["cross-origin-resource-policy"] == "same-origin"
     assert "server" not in headers
 
 
@@ -125,38 +127,74 @@ def test_localhost_is_accepted_as_host_name(studio):
     assert studio.request("POST", "ask", ASK, headers=names)[0] == 200
 
 
-@pytest.mark.parametrize(("times", "status"), [(1, 200), (2, 421)])
-def test_a_second_host_name_is_refused(times, status):
+def guarded(path="/token/", method="GET", *, headers=(), port=8080, kind="http"):
+    """Send a request to a guard of an application that answers everything; return the status."""
     sent = []
 
     async def send(message):
         sent.append(message)
 
-    headers = [(b"host", b"localhost:8080")] * times
-    scope = {"type": "http", "method": "GET", "path": "/token/", "headers": headers}
-    asyncio.run(Guard(PlainTextResponse("here"), "token", 8080)(scope, None, send))
-    assert sent[0]["status"] == status
+    given = [(name.encode(), value.encode()) for name, value in headers]
+    scope = {"type": kind, "method": method, "path": path, "headers": given}
+    asyncio.run(Guard(PlainTextResponse("here"), "token", port)(scope, None, send))
+    return sent[0]["status"] if sent else None
+
+
+HOST = ("host", "localhost:8080")
+POSTED = {"origin": "http://localhost:8080", "content-type": "application/json"}
+
+
+@pytest.mark.parametrize(("times", "status"), [(1, 200), (2, 421)])
+def test_a_second_host_name_is_refused(times, status):
+    assert guarded(headers=[HOST] * times) == status
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [("/token/", 200), ("/token/x/y", 200), ("/token", 404), ("/tok/", 404), ("/tokens/", 404),
+     ("/x/token/", 404), ("//token/", 404), ("//", 404), ("/", 404), ("", 404),
+     ("/t\xf6ken/", 404)],
+)  # fmt: skip
+def test_the_token_must_be_the_first_segment_of_a_path(path, status):
+    assert guarded(path, headers=[HOST]) == status
+
+
+@pytest.mark.parametrize("method", ["PUT", "DELETE", "OPTIONS", "PATCH", "TRACE", "get"])
+def test_the_application_gets_no_other_methods(method):
+    assert guarded(method=method, headers=[HOST]) == 405
+    assert guarded(method="HEAD", headers=[HOST]) == 200
+
+
+@pytest.mark.parametrize("port", [8080, 80])
+def test_the_application_gets_no_other_connections(port):
+    headers = [("host", "localhost")] if port == 80 else [HOST]
+    assert guarded(kind="websocket", headers=headers, port=port) is None
+
+
+@pytest.mark.parametrize("origin", [
+    "http://evil.localhost:8080", "http://localhost:8080.evil.example", "http://127.0.0.1:8080",
+    "https://localhost:8080", "http://LOCALHOST:8080", "localhost:8080", "http://localhost", "",
+])  # fmt: skip
+def test_origins_that_resemble_the_page_are_foreign(origin):
+    headers = [HOST, *(POSTED | {"origin": origin, "content-length": "2"}).items()]
+    assert guarded(method="POST", headers=headers) == 403
+
+
+@pytest.mark.parametrize(
+    ("length", "status"),
+    [("65536", 200), ("65537", 413), ("0", 200), (None, 411), ("-1", 411), ("1e3", 411)],
+)
+def test_the_length_of_a_request_is_known_and_limited(length, status):
+    given = POSTED if length is None else POSTED | {"content-length": length}
+    assert guarded(method="POST", headers=[HOST, *given.items()]) == status
 
 
 @pytest.mark.parametrize(("port", "status"), [(80, 200), (8080, 421)])
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 @pytest.mark.parametrize("method", ["GET", "POST"])
 def test_only_port_80_may_be_left_out_of_the_host_name(port, status, host, method):
-    sent = []
-
-    async def send(message):
-        sent.append(message)
-
-    headers = {
-        "host": host, "origin": f"http://{host}", "content-type": "application/json",
-        "content-length": "0",
-    }  # fmt: skip
-    scope = {
-        "type": "http", "method": method, "path": "/token/",
-        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
-    }  # fmt: skip
-    asyncio.run(Guard(PlainTextResponse("here"), "token", port)(scope, None, send))
-    assert sent[0]["status"] == status
+    headers = POSTED | {"host": host, "origin": f"http://{host}", "content-length": "0"}
+    assert guarded(method=method, headers=headers.items(), port=port) == status
 
 
 @pytest.mark.parametrize(
@@ -172,6 +210,7 @@ def test_only_port_80_may_be_left_out_of_the_host_name(port, status, host, metho
         ({"Content-Type": "application/x-www-form-urlencoded"}, 415),
         ({"Content-Type": "text/plain; application/json"}, 415),
         ({"Content-Type": "application/json; charset=utf-8"}, 200),
+        ({"Content-Type": "Application/JSON ; charset=utf-8"}, 200),
     ],
 )
 def test_only_the_page_itself_may_send_requests(studio, headers, status):
