@@ -362,6 +362,51 @@ def test_paths_inside_the_folder_are_resolved(tmp_path):
                 call(wrong)
 
 
+@pytest.fixture
+def beside(tmp_path):
+    """A folder, and beside it one whose name begins with the name of the folder."""
+    for name in ("work", "workshop"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "b.ply").write_bytes(b"a model")
+    return Folder((tmp_path / "work").resolve())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links and pipes of POSIX")
+def test_a_folder_is_listed_in_order_and_without_what_cannot_be_opened(beside):
+    root = beside.root
+    for name in ("z", "Y"):
+        (root / name).mkdir()
+    (root / "A.txt").write_bytes(b"abc")
+    (root / "C.html").write_bytes(b"")
+    for link, target in (
+        ("link.ply", "b.ply"), ("nothing", "missing"), ("loop", "loop"), ("out", "../workshop"),
+        ("out.ply", "../workshop/b.ply"),
+    ):  # fmt: skip
+        (root / link).symlink_to(target)
+    os.mkfifo(root / "pipe")
+    assert [tuple(entry.values()) for entry in beside.listed("")["entries"]] == [
+        ("Y", "folder", None), ("z", "folder", None), ("A.txt", "file", 3), ("b.ply", "model", 7),
+        ("C.html", "file", 0), ("link.ply", "model", 7),
+    ]  # fmt: skip
+    for outside in ("out", "out/b.ply", "out.ply", str(root / "b.ply"), "C:b.ply"):
+        with pytest.raises(OptionError, match="leads out of the folder of the studio"):
+            beside.inside(outside)
+    with pytest.raises(OptionError, match=r"^b\.ply: Not a directory; choose another folder\.$"):
+        beside.listed("b.ply")
+
+
+def test_an_entry_that_cannot_be_looked_at_is_not_listed(beside, monkeypatch):
+    usual = type(beside.root).stat
+
+    def stat(path, **options):
+        if path.name == "b.ply":  # as in a folder that may be read and not searched
+            raise PermissionError(13, "Permission denied")
+        return usual(path, **options)
+
+    monkeypatch.setattr(type(beside.root), "stat", stat)
+    assert beside.listed("")["entries"] == []
+
+
 def test_page_names_are_checked_and_many_pages_are_accepted_one_after_another(studio):
     for name in ("", "a b", "x" * 65, "../x"):
         assert studio.request("GET", f"events?page={name.replace(' ', '%20')}")[0] == 422

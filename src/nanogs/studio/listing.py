@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from stat import S_ISDIR, S_ISREG
 from typing import Any
 
 from nanogs.errors import OptionError
@@ -59,17 +60,21 @@ class Folder:
         return {"folder": _text(relative), "parent": above, "entries": shown}
 
     def _entry(self, path: Path) -> dict[str, Any] | None:
-        """Describe an entry; None if it leads out, or is neither a file nor a folder."""
+        """Describe an entry; None if it leads out, or is no file or folder that can be read."""
         real = Path(os.path.realpath(path))
         if not real.is_relative_to(self.root):
             return None
-        if real.is_dir():
+        try:
+            facts = real.stat()
+        except OSError:  # removed meanwhile, a link to nothing, or in a folder that is locked
+            return None
+        if S_ISDIR(facts.st_mode):
             return {"name": path.name, "kind": "folder", "bytes": None}
-        if not real.is_file():
+        if not S_ISREG(facts.st_mode):
             return None
         known = registry.find(path)
         kind = "model" if known is not None and known.readable else "file"
-        return {"name": path.name, "kind": kind, "bytes": real.stat().st_size}
+        return {"name": path.name, "kind": kind, "bytes": facts.st_size}
 
 
 def _text(relative: Path) -> str:
