@@ -1,6 +1,7 @@
 """HTTP security of the studio: it answers only its own page, and shows only its own folder."""
 
 import asyncio
+import contextlib
 import json
 import os
 import re
@@ -16,7 +17,7 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.studio.listing import Folder
-from nanogs.studio.pages import MOST, Pages
+from nanogs.studio.pages import KEPT, MOST, Pages
 from nanogs.studio.safety import Guard
 from nanogs.studio.streaming import EventStream
 from studio import running
@@ -408,11 +409,12 @@ def test_an_entry_that_cannot_be_looked_at_is_not_listed(beside, monkeypatch):
 
 
 def test_page_names_are_checked_and_many_pages_are_accepted_one_after_another(studio):
-    for name in ("", "a b", "x" * 65, "../x"):
+    for name in ("", "a b", "x" * 65, "../x", "x%0A"):
         assert studio.request("GET", f"events?page={name.replace(' ', '%20')}")[0] == 422
     for number in range(40):  # pages without a connection are dropped
         body = {"page": f"page{number}"}
         assert studio.request("POST", "cancel", body)[0] == 204
+    assert studio.request("POST", "cancel", {"page": "aZ09-_" + "x" * 58})[0] == 204
 
 
 def test_only_the_models_of_the_latest_scene_are_kept_for_all_pages():
@@ -438,6 +440,90 @@ def test_too_many_pages_replace_the_one_that_was_closed_first_and_never_an_open_
     with pytest.raises(OptionError, match="16 pages are open already; close one"):
         pages.get("another")
     assert pages.model("model3")
+
+
+def test_the_latest_models_of_each_kind_are_kept():
+    pages = Pages()
+    pages.get("a")
+    for number in range(6):
+        for kind in KEPT:
+            pages.deliver("a", {"type": kind}, {f"{kind}{number}": b"bytes"})
+    kept = {kind: [n for n in range(6) if pages.model(f"{kind}{n}")] for kind in KEPT}
+    assert kept == {"filtered": [4, 5], "draft": [2, 3, 4, 5], "made": [2, 3, 4, 5]}
+
+
+def test_only_a_page_that_is_closed_for_a_while_is_gone(monkeypatch):
+    pages = Pages()
+    monkeypatch.setattr("time.monotonic", lambda: 100.0)
+    for name, left in (("open", None), ("long ago", 89.9), ("just now", 90.1)):
+        pages.get(name.replace(" ", "_")).left = left
+    assert pages.gone() == ["long_ago"]
+
+
+async def reaches(length, said):
+    """Wait until a list has a length."""
+    while len(said) < length:
+        await asyncio.sleep(0.001)
+
+
+@contextlib.asynccontextmanager
+async def listening(pages):
+    """A stream of the page `a` that has begun, and the list of what it says."""
+    said = []
+
+    async def say(text):
+        said.append(text)
+
+    stream = asyncio.create_task(pages.stream(pages.get("a"), say))
+    await reaches(1, said)
+    yield stream, said
+    stream.cancel()
+    await asyncio.wait({stream})
+
+
+def test_a_stream_begins_with_the_scene_and_passes_on_the_events_of_its_page_and_of_all():
+    async def session():
+        pages = Pages()
+        async with listening(pages) as (_, said):
+            pages.get("b")
+            pages.deliver("", {"type": "scene", "splats": 5}, {})
+            pages.deliver("b", {"type": "draft"}, {})
+            pages.deliver("c", {"type": "measured"}, {})
+            pages.deliver("a", {"type": "made"}, {})
+            await reaches(3, said)
+        scene = 'data: {"type": "scene", "splats": 5}\n\n'
+        assert said == [": here\n\n", scene, 'data: {"type": "made"}\n\n']
+        async with listening(pages) as (_, said):
+            pass
+        assert said == [scene]
+
+    asyncio.run(asyncio.wait_for(session(), 20))
+
+
+def test_an_idle_stream_sends_a_sign_of_life(monkeypatch):
+    monkeypatch.setattr("nanogs.studio.pages.BEAT", 0.001)
+
+    async def session():
+        async with listening(Pages()) as (_, said):
+            await reaches(3, said)
+        assert {*said} == {": here\n\n"}
+
+    asyncio.run(asyncio.wait_for(session(), 20))
+
+
+def test_a_page_whose_stream_is_replaced_is_open_until_the_newer_one_is_closed():
+    async def session():
+        pages = Pages()
+        pages.get("b")  # which nobody has open
+        async with listening(pages) as (older, _):
+            async with listening(pages) as (newer, _):
+                await asyncio.wait({older}, timeout=5)  # at once, not at the next sign of life
+                assert (older.done(), newer.done()) == (True, False)
+                assert (pages.get("a").left, pages.last_left, pages.watched) == (None, None, True)
+            assert pages.get("a").left == pages.last_left is not None
+            assert not pages.watched
+
+    asyncio.run(session())
 
 
 def test_a_replaced_stream_leaves_the_remaining_events_to_the_newer_one():
