@@ -7,11 +7,15 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
+from nanogs.bench.digest import digest_of_sources
 from nanogs.bench.means import mean_rows
 from nanogs.bench.plot import curves, plot
+from nanogs.bench.preamble import preamble
 from nanogs.bench.published import DATASETS, Figures
 from nanogs.bench.published_table import figures_cell, published_table
 from nanogs.bench.rows import ORIGINAL, Against, BenchRow, SetScore, Status
+from nanogs.bench.run import row_count, row_keys
+from nanogs.bench.settings import BenchSettings
 from nanogs.bench.tables import json_line, markdown, mean_table, scene_table
 from nanogs.formatting import NONE, number_text
 
@@ -22,6 +26,68 @@ def row(scene="a", method="x", ratio=0.1, psnr=20.0, **values):
 
 def skipped(scene, method, ratio=0.1):
     return BenchRow(scene, method, ratio, Status.SKIPPED, "There is no file | here.")
+
+
+# Rows
+
+
+def test_only_a_row_with_a_score_that_has_not_failed_is_measured():
+    for found, measured in (
+        (row(psnr=0.0), True), (row(psnr=None), False), (skipped("a", "x"), False),
+        (row(status=Status.FAILED), False),
+    ):  # fmt: skip
+        assert found.measured is measured
+
+
+def test_the_sets_of_a_row_begin_with_its_own():
+    far = SetScore("roam 512", 3, 25.0, 24.0, 0.8, {"flip": 0.2})
+    found = row(label="auto 512", least_psnr=18.0, extras={"flip": 0.1}, further=(far,))
+    assert found.sets == (SetScore("auto 512", 2, 20.0, 18.0, 0.9, {"flip": 0.1}), far)
+
+
+def test_the_rows_of_a_scene_are_its_whole_models_then_all_methods_for_each_request():
+    ratios = BenchSettings(ratios=(0.5, 0.1), methods=("fast", "random"), externals={"mine": "a"})
+    names = ("fast", "random", "mine")
+    assert row_keys(ratios) == [
+        (ORIGINAL, (1.0, "", None)), *((name, (0.5, "", None)) for name in names),
+        *((name, (0.1, "", None)) for name in names),
+    ]  # fmt: skip
+    sizes = BenchSettings(methods=("fast",), file_sizes=(2000, 1000), formats=(".sog", ".spz"))
+    whole = [(ORIGINAL, (1.0, each, None)) for each in ("", ".sog", ".spz")]
+    asked = [("fast", (None, each, size)) for each in (".sog", ".spz") for size in (1000, 2000)]
+    assert row_keys(sizes) == [*whole, *asked]
+    assert row_count([None] * 3, sizes) == 21
+
+
+def test_the_text_above_the_tables_says_how_they_were_made(monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: 6)
+    text = preamble(BenchSettings(sizes=(64, 512), kinds=("auto", "roam")))
+    assert not text.startswith("```")
+    assert "6 CPUs, all threads.\n" in text
+    views = [f"8 auto of {size} x {size}" for size in (64, 512)]
+    views += [f"24 roam of {size} x {size}" for size in (64, 512)]
+    assert f"Views of scenes without photographs: {', '.join(views)}, which no method" in text
+    assert "All models are drawn" not in text
+    text = preamble(BenchSettings(views=3, threads=2, render_mode="mip"), "nanogs bench a.ply")
+    assert text.startswith("```\nnanogs bench a.ply\n```\n\nnanogs ")
+    assert "6 CPUs, 2 threads.\n" in text
+    assert ": 3 auto of 512 x 512, which" in text
+    assert "All models are drawn as mip, whatever their files say.\n\nEvery method" in text
+
+
+def test_the_digest_of_sources_changes_with_each_file_that_counts(tmp_path, monkeypatch):
+    monkeypatch.setattr("nanogs.bench.digest.PACKAGE", tmp_path)
+    for name in ("a.py", "bench/b.py", "fit/c.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+    found = [digest_of_sources(())]
+    found += [digest_of_sources(apart) for apart in (["bench"], ["bench", "fit"])]
+    assert [*map(len, found)] == [10, 10, 10]
+    (tmp_path / "bench" / "b.py").write_text("other")
+    (tmp_path / "fit" / "c.txt").write_text("no source")
+    found += [digest_of_sources(apart) for apart in ((), ["bench"], ["bench", "fit"])]
+    assert found[4:] == found[1:3]
+    assert len({*found}) == 4
 
 
 # Means
