@@ -14,6 +14,7 @@ from plyfiles import BASE, ENCODINGS, ply, vertex
 GOOD = ply(("vertex", vertex()))
 ASCII = ply(("vertex", vertex()), encoding="ascii")
 FACE = b"element face 1\nproperty list uchar int vertex_indices\nend_header"
+MESH = ply(("vertex", vertex(3, ["x", "y", "z"]))).replace(b"end_header", FACE)
 
 
 def assert_refused(path, words):
@@ -121,6 +122,7 @@ def test_check_writable_uses_a_given_format(tmp_path):
         (without("scale_2", "opacity"), "lacks opacity, scale_2"),
         (without("rot_1", "opacity"), "lacks opacity, rot_1"),
         (ply(("vertex", vertex(3, ["x", "y", "z"]))), "a point cloud or mesh"),
+        (MESH, "rot_3: it is a point cloud or mesh, not a 3D Gaussian splatting model"),
         (rest(*range(10)), "has 10 f_rest properties"),
         (rest(0), "has 1 f_rest property, but"),
         (rest(*range(1, 10)), "f_rest_0 is missing"),

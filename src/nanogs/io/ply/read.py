@@ -172,6 +172,8 @@ def _checked(path: Path) -> Header:
         )
     if vertex.count == 0:
         raise FormatError(f"{path}: element 'vertex' has no rows; export a model with splats.")
+    if not compressed_read.is_compressed(header):  # before the faces of a mesh are refused
+        columns.scale_names(vertex.names, f"{path}: {header.place(vertex)}")
     check_body(header)
     return header
 
