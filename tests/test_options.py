@@ -148,6 +148,8 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
         (["b.ply", "-r", "0.1", "--threads", "5000"], ["error: --threads must be from 1 to"]),
         (["b.ply", "--size", "2", "MB"], ["MB is a unit, not a file", "one word, as in 2MB"]),
         (["b.ply", "-r", "10", "%"], ["% is a unit", "as in 10%"]),
+        (["b.ply", "0.1"], ["0.1 is a number, not a file", "as in --ratio 0.1."]),
+        (["b.ply", "50k"], ["50k is a number, not a file"]),
         (
             ["b", "c", "d", "-n", "1"],
             ["4 paths were given without --out-dir", "simplify A B OUT --join"],

@@ -78,6 +78,7 @@ def plan_pairs(paths: list[Path], files: Files) -> list[Pair]:
             f"OUT is missing: name the file to write after {paths[0]}, or give --out-dir FOLDER."
         )
     if len(paths) != 2:
+        _refuse_numbers(paths)
         raise OptionError(
             f"{len(paths)} paths were given without --out-dir; give IN and OUT, or several inputs"
             " and --out-dir FOLDER; `nanogs simplify A B OUT --join` makes one scene of several."
@@ -98,6 +99,19 @@ def refuse_units(paths: Sequence[Path]) -> None:
             raise OptionError(
                 f"{unit} is a unit, not a file: write number and unit as one word, as in"
                 f" {number}{unit}."
+            )
+
+
+def _refuse_numbers(paths: Sequence[Path]) -> None:
+    """Refuse a number among the paths, as from `simplify IN OUT 0.1`, typed without its option.
+
+    Raises:
+        OptionError: A path is a number, and not an existing file.
+    """
+    for path in paths:
+        if re.fullmatch(r"\d*\.?\d+[%kM]?", str(path)) and not path.exists():
+            raise OptionError(
+                f"{path} is a number, not a file: write its option before it, as in --ratio 0.1."
             )
 
 
