@@ -21,6 +21,16 @@ MISNAMED = {
 }
 
 
+@pytest.mark.parametrize("name", ["a", "a.data"])
+def test_a_file_without_a_known_suffix_is_named_for_what_it_is(tmp_path, name):
+    nanogs.save(random_splats(64), tmp_path / name, format=".spz")
+    with pytest.raises(FormatError, match=r"a \.spz file; give it the suffix \.spz\.$"):
+        nanogs.load(tmp_path / name)
+    (tmp_path / name).write_bytes(gzip.compress(b"notes"))  # begins as a .spz does
+    with pytest.raises(FormatError, match="unknown suffix"):
+        nanogs.load(tmp_path / name)
+
+
 @pytest.mark.parametrize("real", MISNAMED)
 def test_a_file_of_another_format_is_named_by_it(tmp_path, real):
     nanogs.save(random_splats(64), tmp_path / f"a{real}")

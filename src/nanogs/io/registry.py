@@ -82,20 +82,26 @@ def refuse_misnamed(path: Path, known: Format, error: FormatError) -> None:
     Raises:
         FormatError: Its first bytes are those of another format.
     """
-    try:
-        found = sniff(path)
-        unclear = found == ".spz" and not _holds_spz(path)
-    except OSError:
-        return
-    other = next((each for each in formats() if each.suffix == found), None)
-    if other is None or other.open is known.open or unclear:
+    other = _recognised(path)
+    if other is None or other.open is known.open:
         return
     if other.zip_member and known.zip_member:
         return  # a folder in a damaged archive may look like the other kind of archive
     raise FormatError(
-        f"{path} begins like a {found} file, so it is no {known.suffix} file; give it the suffix"
-        f" {found}."
+        f"{path} begins like a {other.suffix} file, so it is no {known.suffix} file; give it the"
+        f" suffix {other.suffix}."
     ) from error
+
+
+def _recognised(path: Path) -> Format | None:
+    """Return the format that the first bytes of a file show; None if they leave doubts."""
+    try:
+        found = sniff(path)
+        if found == ".spz" and not _holds_spz(path):
+            return None
+    except OSError:
+        return None
+    return next((each for each in formats() if each.suffix == found), None)
 
 
 def _holds_spz(path: Path) -> bool:
@@ -159,6 +165,10 @@ def reader(path: Path) -> Format:
         _refuse_list(path)
         if remedy := _REMEDIES.get(path.suffix.lower()):
             raise FormatError(f"{path}: nanogs does not read {path.suffix} files; {remedy}.")
+        if is_file(path) and (found := _recognised(path)):
+            raise FormatError(
+                f"{path} begins like a {found.suffix} file; give it the suffix {found.suffix}."
+            )
         suffixes = _suffixes_read()
         meant = _meant(path, suffixes)
         raise FormatError(
