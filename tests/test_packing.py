@@ -293,7 +293,7 @@ def test_a_degree_a_palette_or_bits_leave_a_choice():
 
 def test_the_smallest_packing_has_the_fewest_bits_entries_and_harmonics():
     request = SizeRequest(9000, registry.writable(Path("a.sog")), {})
-    fewest = Packing(0, SMALLER[-1], (("sh_bits", 2), ("bits", 4)))
+    fewest = Packing(0, SMALLER_PALETTES[-1], (("sh_bits", 2), ("bits", 4)))
     assert request.smallest(3) == fewest
     assert request._replace(sh_degree=2).smallest(3) == replace(fewest, sh_degree=2)
     given = request._replace(given={"palette": 9, "sh_bits": 8})
