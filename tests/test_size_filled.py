@@ -126,6 +126,14 @@ def test_a_model_that_fits_whole_is_not_rounded_more_finely():
     assert min(filling.files.tried) > 0.99 * FINER
 
 
+def test_a_result_that_is_not_rounded_is_written_once():
+    """It was not fitted, or is not held whole; then another coarseness changes nothing."""
+    filling = Filling(lambda count: 500 if count <= 500 else 1200)
+    filling.files.curvatures = lambda _: None
+    _, fields, _ = fill_size(filling)
+    assert filling.files.tried == [1.0] * len(fields["size_probes"])
+
+
 @pytest.mark.parametrize("share", [0.95, 0.8])
 def test_the_first_count_allows_for_what_rounding_saves(share):
     """As seen on a result that is only compared; after a whole fit it saves a little more."""

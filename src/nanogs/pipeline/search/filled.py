@@ -35,7 +35,7 @@ def fill_size(packer: Packer[T]) -> Delivered[T]:
         result, fitted = _filled(packer, packed)
     packer.results.verify(result, packer.progress)
     known, available = packer.request.known, packer.results.available
-    if packer.results.fits and known.quantisation is not None and fitted.count < available:
+    if fitted.count < available and packer.files.curvatures(result) is not None:
         options = packed.packing.options(packer.files.count(result))
         result, taken = packer.files.filled(result, options, packer.request.size)
         full = taken >= ENOUGH * packer.request.size
