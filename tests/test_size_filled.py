@@ -8,13 +8,13 @@ import pytest
 from builders import random_splats
 from nanogs.io import registry
 from nanogs.io.rate_distortion import Curvatures
-from nanogs.pipeline.search.coarseness import FINER, FINEST
+from nanogs.pipeline.search.coarseness import COARSEST, FINER, FINEST
 from nanogs.pipeline.search.file_size import AIM
 from nanogs.pipeline.search.files import Files
 from nanogs.pipeline.search.filled import fill_size
 from nanogs.pipeline.search.latest import Latest
 from nanogs.pipeline.search.packer import WHOLE, ChosenPacking, Packer
-from nanogs.pipeline.search.packing import Packing
+from nanogs.pipeline.search.packing import FINE, Packing
 from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport, StopReason
@@ -48,6 +48,15 @@ def test_values_are_finer_than_usual_only_in_a_file_that_holds_no_more_splats():
     assert 0.98 * 1060 <= files.filled(9, {}, 1060)[1] <= 1060
     assert FINEST < files.tried[-1] < FINER
     assert files.filled(9, {}, 1300) == (9, 1000)  # out of reach: the usual values
+
+
+def test_a_size_is_filled_around_the_coarseness_that_was_chosen():
+    files = RoundedFiles(lambda _: 1000)
+    assert 1000 <= files.bytes_of(9, {}, 1015, 0.5) <= 1015
+    assert files.tried[0] == 0.5
+    assert 0.5 < files.tried[-1] <= 0.5 * COARSEST
+    assert files.filled(9, {}, 1015, 0.5)[1] == files.bytes_of(9, {}, 1015, 0.5)
+    assert files.bytes_of(9, {}, coarseness=0.5) == round(1000 * 0.5**-0.04)
 
 
 def test_one_result_is_rounded_to_a_size_once():
@@ -135,8 +144,12 @@ def test_a_result_that_is_not_rounded_is_written_once():
 
 
 @pytest.mark.parametrize("share", [0.95, 0.8])
-def test_the_first_count_allows_for_what_rounding_saves(share):
-    """As seen on a result that is only compared; after a whole fit it saves a little more."""
+@pytest.mark.parametrize(("unpacked", "coarseness"), [(60.0, FINE), (32.0, 1.0)])
+def test_the_first_count_allows_for_what_rounding_saves(share, unpacked, coarseness):
+    """As seen on a result that is only compared; after a whole fit it saves a little more.
+
+    Where packing makes nearly all of the error, finer values are worth more than more splats.
+    """
 
     class Compared(RoundedFiles):
         def shows(self):
@@ -147,10 +160,14 @@ def test_the_first_count_allows_for_what_rounding_saves(share):
 
         def measure(self, result, sh_degree, options):
             psnr = 30 - abs(options["bits"] - 6)
-            return PackingReport(sh_degree, options, result, 20 * result, psnr, 0.9, 60.0, 0.9)
+            ssim = 0.9 if unpacked < 40 else 0.99
+            scores = psnr, 0.9, unpacked, ssim
+            return PackingReport(sh_degree, options, result, 20 * result, *scores)
 
     files = Compared(lambda count: share * 20 * count)
     sample, request = random_splats(50, degree=0), SizeRequest(10_000, SPZ, {"spare_bits": 2})
     packed = Packer(Results(), request, sample, files, Tracker(None, [])).pack()
     assert packed.packing.bits == PACKING.bits
-    assert files.bytes_at(packed.count) * WHOLE == pytest.approx(AIM * 10_000, rel=0.01)
+    assert packed.packing.coarseness == coarseness
+    _, taken = files.packed(packed.count, {}, coarseness)
+    assert taken * WHOLE == pytest.approx(AIM * 10_000, rel=0.01)

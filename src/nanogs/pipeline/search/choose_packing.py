@@ -74,7 +74,10 @@ def choose_packing(
     if first.per_entry is not None:  # without palettes, `begin` has compared the bits
         best = search.compare_bits(best)
     count = files.filling_count(files.file(best))
-    return files.with_derived_options(best), count, tuple(files.reports)
+    chosen = replace(
+        files.with_derived_options(best), coarseness=choices.coarseness(files.file(best))
+    )
+    return chosen, count, tuple(files.reports)
 
 
 def _with_palettes(packing: Packing, sizes: Sequence[float | None]) -> list[Packing]:

@@ -3,10 +3,10 @@
 The one of a scene in blocks is in `in_blocks`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -63,34 +63,46 @@ class Files(Protocol[R]):
     def packed(self, result: R, options: Options, coarseness: float) -> tuple[R, int]:
         """Return a result that is rounded with a coarseness, and the bytes of its file."""
 
-    def filled(self, result: R, options: Options, size: int) -> tuple[R, int]:
+    def filled(
+        self, result: R, options: Options, size: int, coarseness: float = 1.0
+    ) -> tuple[R, int]:
         """Return a result that is delivered, rounded so that its file fills a size, and its bytes.
 
-        As no more splats fit, values are as fine as they can be.
+        As no more splats fit, values are as fine as they can be. The arguments are those of
+        `bytes_of`.
         """
-        found = self._filling(result, options, size)
+        found = self._filling(result, options, size, coarseness)
         if found[1] >= ENOUGH * size:
             return found
-        return fill_by_rounding(partial(self.packed, result, options), size, FINEST)
+        return fill_by_rounding(self._packed_by(result, options, coarseness), size, FINEST)
 
-    def bytes_of(self, result: R, options: Options, size: int | None = None) -> int:
+    def bytes_of(
+        self, result: R, options: Options, size: int | None = None, coarseness: float = 1.0
+    ) -> int:
         """Return the size of a result's file, rounded as by `rounded`, bytes.
 
         Args:
             result: The result.
             options: Of the format.
             size: Bytes to fill by rounding somewhat more finely or coarsely.
+            coarseness: Of rounding; see `packed`.
         """
         if size is None or self.curvatures(result) is None:
-            return self.packed(result, options, 1.0)[1]
-        return self._filling(result, options, size)[1]
+            return self.packed(result, options, coarseness)[1]
+        return self._filling(result, options, size, coarseness)[1]
 
-    def _filling(self, result: R, options: Options, size: int) -> tuple[R, int]:
+    def _filling(self, result: R, options: Options, size: int, coarseness: float) -> tuple[R, int]:
         """Return a result whose rounding fills a size, and its bytes."""
-        packed = partial(self.packed, result, options)
+        packed = self._packed_by(result, options, coarseness)
         return self.latest_filled.of(
-            (result, options, size), lambda: fill_by_rounding(packed, size)
+            (result, options, size, coarseness), lambda: fill_by_rounding(packed, size)
         )
+
+    def _packed_by(
+        self, result: R, options: Options, coarseness: float
+    ) -> Callable[[float], tuple[R, int]]:
+        """Return a function that packs a result with a factor of a coarseness."""
+        return lambda factor: self.packed(result, options, factor * coarseness)
 
     def sample_bytes(self, some: Splats, options: Options) -> int:
         """Return the size of a file of some splats with options of the format, bytes."""

@@ -37,7 +37,8 @@ def fill_size(packer: Packer[T]) -> Delivered[T]:
     known, available = packer.request.known, packer.results.available
     if fitted.count < available and packer.files.curvatures(result) is not None:
         options = packed.packing.options(packer.files.count(result))
-        result, taken = packer.files.filled(result, options, packer.request.size)
+        coarseness = packed.packing.coarseness
+        result, taken = packer.files.filled(result, options, packer.request.size, coarseness)
         full = taken >= ENOUGH * packer.request.size
         fitted = replace(fitted, bytes=taken, stop=StopReason.TARGET if full else fitted.stop)
     notes = fitted.leap(packer.request.size, available, known.overhead_bytes()) + packed.notes
@@ -94,7 +95,8 @@ def _filled(packer: Packer[T], packed: ChosenPacking) -> tuple[T, FittedSize]:
         return chosen.make(count, progress.within(0, 1, chosen.stages(count))), fitted
 
     def bytes_of(result: T) -> int:
-        return files.bytes_of(result, packing.options(files.count(result)), request.size)
+        options = packing.options(files.count(result))
+        return files.bytes_of(result, options, request.size, packing.coarseness)
 
     near, overhead = packed.tight or bool(packed.packings), request.known.overhead_bytes()
     return fit_size(

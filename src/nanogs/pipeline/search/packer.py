@@ -195,6 +195,7 @@ class Packer(Generic[T]):
         brief = some.brief()
         stages = [*brief.stages(count), Stage("encode", 1.0)]
         part = self.progress.within(self.tried, PACKINGS, stages)
+        choices = self.request.choices(self.sample.sh_degree)
         self.tried += 1
 
         def measure(result: T) -> dict[str, Any]:
@@ -202,7 +203,9 @@ class Packer(Generic[T]):
             found = measure_files(partial(self._measure, result))
             rounded = 1.0
             if self._usually_rounded < 1:
-                rounded = self.files.bytes_of(result, found[0].options) / found[0].bytes
+                coarseness, options = choices.coarseness(found[0]), found[0].options
+                _, left = self.files.packed(result, options, coarseness)
+                rounded = left / found[0].bytes
             return {"files": [asdict(each) for each in found], "rounded": rounded}
 
         _, measured = brief.make_and_measure(count, measure, part)

@@ -17,6 +17,9 @@ LARGER_PALETTES, SMALLER_PALETTES = (3.0, 1.5), (32.0, 128.0)
 # more bits, and the most bits. The finest of each kind gains least.
 LARGER_PALETTE_FIT, OWN_HARMONICS_FIT = 0.77, 0.92
 MORE_BITS_FIT, MOST_BITS_FIT = 0.7, 0.88
+# Share of the error of a file, before it is packed, below which packing makes nearly all of it; and
+# the coarseness of rounding then.
+FEW_SPLATS_MISSED, FINE = 0.2, 0.5
 # Share of the error of a result that is only compared which would be left after a whole fit.
 ERROR_LEFT = 0.8
 
@@ -34,6 +37,7 @@ class Packing:
             without a choice of palette.
         bits: The format's options that set its precision, as (name, value).
         entries: Largest number of entries that a palette of the format has.
+        coarseness: Of rounding by what shows, over the usual one; see `nanogs.io.economical`.
         derived_options: Other options of the format that were derived from one result and are
             reused for another of about the same count: otherwise its file might be of another size
             altogether.
@@ -44,6 +48,7 @@ class Packing:
     bits: BitValues = ()
     entries: int = 1 << 16
     derived_options: tuple[tuple[str, int], ...] = ()
+    coarseness: float = 1.0
 
     @property
     def sharing(self) -> Sharing | None:
@@ -131,6 +136,16 @@ class Choices:
         packed = self._loss(found.psnr, found.ssim)
         unpacked = min(self._loss(found.unpacked_psnr, found.unpacked_ssim), packed)
         return packed - (1 - ERROR_LEFT) * unpacked
+
+    def coarseness(self, found: PackingReport) -> float:
+        """Return how coarsely to round by what shows, over the usual coarseness.
+
+        If nearly all of the error is that of packing, more splats hardly diminish it, so the bytes
+        are better spent on finer values.
+        """
+        packed = self._loss(found.psnr, found.ssim)
+        unpacked = self._loss(found.unpacked_psnr, found.unpacked_ssim)
+        return FINE if not self.by_psnr and unpacked < FEW_SPLATS_MISSED * packed else 1.0
 
     def _loss(self, psnr: float, ssim: float) -> float:
         return math.pow(10, -(psnr if self.by_psnr else quality(psnr, ssim)) / 10)
