@@ -21,7 +21,7 @@ FEWEST_BITS, MOST_BITS = 4, 8
 MOST_SPARE_BITS = 6  # of the 16 bits of a centre, how many may be dropped at most
 _SHARE_OF_SIZE = 0.02  # largest step of centres at 8 bits, relative to the splats' middle axis
 _AREA_POWER = 0.75
-_LEAST_SIZE = 1e-150  # added to sizes, so that neither they nor their squares are zero
+_LEAST_SIZE = 1e-150  # added to scales, so that neither they nor their squares are zero
 _CODES = 256
 _AREA_BINS = 2048  # bins of the logarithm to base 2 of areas
 _LARGE = 7  # bins above the median from which on the area of a splat counts no more
@@ -34,7 +34,7 @@ class Precision:
 
     Attributes:
         bits: Bits of a component of a rotation, 4 to 8, from which all else follows.
-        spare: Bits that are dropped from centres, 0 to 6; by default computed by `spare_bits`.
+        spare: Bits that are dropped from centres, 0 to 6; None to compute them by `spare_bits`.
     """
 
     bits: int
@@ -42,22 +42,25 @@ class Precision:
 
     @property
     def rotation_step(self) -> int:
-        """Step between used codes, of the 256 that eight bits have."""
+        """Step between the codes of a component of a rotation that are in use, of 256 codes."""
         return 1 << (MOST_BITS - self.bits)
 
     @property
-    def scales(self) -> int:
+    def scale_codes(self) -> int:
         """Number of distinct log-scales: half a bit more than for rotations."""
         return min(_CODES, 3 << (self.bits - 1))
 
     @property
-    def colours(self) -> int:
+    def colour_codes(self) -> int:
         """Number of distinct base colours per channel: half a bit less than for rotations."""
         return 3 << (self.bits - 2)
 
     @property
-    def alphas(self) -> int:
-        """Number of steps from alpha 0 to 1: a bit more, because a ray passes many splats."""
+    def alpha_steps(self) -> int:
+        """Number of steps from alpha 0 to 1: a bit more than for rotations.
+
+        A ray passes many splats, so that errors of alphas add up.
+        """
         return min(_CODES, 2 << self.bits) - 1
 
     def spare_bits(self, blocks: Iterable[Splats], steps: Callable[[Splats], F64]) -> int:

@@ -1,6 +1,6 @@
 """Rounding by rate and distortion: values that hardly show take codes that pack well.
 
-A packed file takes the fewer bytes the more often a code occurs. Many values could be rounded more
+A packed file is the smaller, the more often the same codes occur. Many values could be rounded more
 coarsely than a format does, such as the length of a flat splat's thin axis or the rotation of a
 round splat. How much a value shows is its curvature, which the fit measures (`nanogs.fit.descent`).
 
@@ -24,11 +24,11 @@ from nanogs.splats import Splats
 # Largest changes, since a curvature tells nothing of a picture far away: of log-scales, logits of
 # opacities, coefficients of base colours, and of rotations in radians.
 MOST_STRETCH, MOST_LOGIT, MOST_COLOUR, MOST_TURN = 0.3, 0.5, 0.1 / SH_C0, 0.3
-FARTHEST_LOGIT = 6.9  # of opacities 0 and 1: rounded to these by all formats of up to 8 bits
+FARTHEST_LOGIT = 6.9  # in place of -inf and inf: formats of up to 8 bits round it to opacity 0 or 1
 # A Gaussian shifted by this many standard deviations hardly overlaps with itself any more, so the
 # error grows no further.
 FARTHEST_SHIFT = 2.0
-ROUNDS = 3  # codes are chosen so often, each time by how often those of the time before occur
+ROUNDS = 3  # of choosing codes, each by how often every code occurs after the round before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,21 +83,21 @@ def rounded(
         quantisation: Values of the format.
         coarseness: Factor of the price of a bit; more gives smaller files and larger errors.
     """
-    turns = None
-    log_scales, shown = splats.log_scales, curvatures.log_scales
-    if quantisation.rotations is not None:
-        turns = _Turns.of(splats, curvatures, quantisation.rotations)
-        log_scales, shown = turns.log_scales, turns.scale_curvatures
+    turned = None
+    log_scales, scale_curvatures = splats.log_scales, curvatures.log_scales
+    if quantisation.rotations is not None:  # they reorder the axes of splats, scales included
+        turned = _Rotations.of(splats, curvatures, quantisation.rotations)
+        log_scales, scale_curvatures = turned.log_scales, turned.scale_curvatures
     ends = np.clip(quantisation.logits, -FARTHEST_LOGIT, FARTHEST_LOGIT)
     colours = np.repeat(curvatures.colours[:, None], splats.sh.shape[2], axis=1)
     logits = splats.opacity_logits[:, None]
     kinds = (
-        _Values(log_scales, shown, quantisation.log_scales, MOST_STRETCH),
+        _Values(log_scales, scale_curvatures, quantisation.log_scales, MOST_STRETCH),
         _Values(logits, curvatures.logits[:, None], ends, MOST_LOGIT),
         _Values(splats.sh[:, 0], colours, quantisation.colours, MOST_COLOUR),
     )
-    error = sum(each.error() for each in kinds) + (turns.error() if turns else 0.0)
-    number = sum(each.values.size for each in kinds) + (turns.curvatures.size if turns else 0)
+    error = sum(each.error() for each in kinds) + (turned.error() if turned else 0.0)
+    number = sum(each.values.size for each in kinds) + (turned.curvatures.size if turned else 0)
     # A bit more for each value would leave a quarter of the error of rounding to the nearest, so a
     # bit lowers it by 2 ln 2 times itself (Gray and Neuhoff, "Quantization", 1998, section II).
     price = coarseness * 2 * math.log(2) * error / max(number, 1)
@@ -105,13 +105,13 @@ def rounded(
     scales, opacities, base = (each.cheapest(price) for each in kinds)
     sh = splats.sh.copy()
     sh[:, 0] = base
-    quats = turns.cheapest(price) if turns else splats.quats
+    quats = turned.cheapest(price) if turned else splats.quats
     return replace(
         splats, means=means, log_scales=scales, opacity_logits=opacities[:, 0], sh=sh, quats=quats
     )
 
 
-def _centres(splats: Splats, shown: F32, centres: tuple[F32, F32], price: float) -> F32:
+def _centres(splats: Splats, curvatures: F32, centres: tuple[F32, F32], price: float) -> F32:
     """Return the centres, rounded to every second code if the bit that this saves is worth it.
 
     The step is the same for all splats: one for each saves hardly more, because neither gzip nor
@@ -120,7 +120,7 @@ def _centres(splats: Splats, shown: F32, centres: tuple[F32, F32], price: float)
 
     Args:
         splats: N splats.
-        shown: (N, 3) curvatures of the centres.
+        curvatures: (N, 3) of the centres.
         centres: See `Quantisation.centres`.
         price: Of a bit.
     """
@@ -136,15 +136,22 @@ def _centres(splats: Splats, shown: F32, centres: tuple[F32, F32], price: float)
             limited: F64 = np.minimum((shifts / deviations) ** 2, FARTHEST_SHIFT**2)
             return limited
 
-        return float((shown[rows] * (errors(coarser) - errors(usual))).sum())
+        return float((curvatures[rows] * (errors(coarser) - errors(usual))).sum())
 
     added = sum(parallel.map_ordered(slices(len(splats)), added_error))
-    # If a centre is not finite, they stay, and the writer refuses them.
+    # If a centre is not finite, all stay as they are, and the writer refuses the model.
     return coarser if added < price * usual.size else splats.means
 
 
 class _Values(NamedTuple):
-    """Values of one kind, (N, C), their curvatures, the levels and the largest change."""
+    """Values of one kind.
+
+    Attributes:
+        values: (N, C) float32.
+        curvatures: (N, C) float32.
+        levels: (L,) float32, the values that they can be rounded to, ascending.
+        most: Largest change.
+    """
 
     values: F32
     curvatures: F32
@@ -179,15 +186,15 @@ class _Values(NamedTuple):
         return out
 
 
-class _Turns(NamedTuple):
-    """Rotations by x, y and z of quaternions with the largest w, and the log-scales beside them.
+class _Rotations(NamedTuple):
+    """Rotations whose w is the largest component, and what follows the order of their axes.
 
     Attributes:
-        quats: (N, 4) float64, unit.
-        curvatures: (N, 3) float32.
-        levels: (L,) float64 of x, y and z.
+        quats: (N, 4) float64, wxyz, unit.
+        curvatures: (N, 3) float32, of the rotations.
+        levels: (L,) float64, the values that x, y and z can have.
         log_scales: (N, 3) float32.
-        scale_curvatures: (N, 3) float32.
+        scale_curvatures: (N, 3) float32, of the log-scales.
     """
 
     quats: F64
@@ -197,17 +204,17 @@ class _Turns(NamedTuple):
     scale_curvatures: F32
 
     @classmethod
-    def of(cls, splats: Splats, curvatures: Curvatures, levels: F64) -> "_Turns":
+    def of(cls, splats: Splats, curvatures: Curvatures, levels: F64) -> "_Rotations":
         """Reorder the axes of splats so that rotations are small, and curvatures with them."""
         # The numbers of the axes in place of their scales, which do not decide the order.
         axes = np.tile(np.arange(3, dtype=np.float32), (len(splats), 1))
         quats, reordered = minimise_rotation(replace(splats, log_scales=axes))
         order = reordered.astype(np.int64)
-        turned, log_scales, scaled = (
+        of_rotations, log_scales, of_scales = (
             np.take_along_axis(each, order, axis=1)
             for each in (curvatures.rotations, splats.log_scales, curvatures.log_scales)
         )
-        return cls(quats, turned, levels, log_scales, scaled)
+        return cls(quats, of_rotations, levels, log_scales, of_scales)
 
     def error(self) -> float:
         """Return the error of rounding to the nearest levels."""

@@ -64,8 +64,8 @@ _USUAL_PRECISION = Precision(USUAL_BITS)
 
 
 @dataclass(frozen=True, slots=True)
-class Packing:
-    """The quantisation of a file.
+class SogOptions:
+    """How the values of a file are quantised; see `write`.
 
     Attributes:
         palette_size: Largest number of entries of the palette of the higher coefficients, 1 to
@@ -80,7 +80,7 @@ class Packing:
     sh_bits: int | None = None
 
 
-USUAL = Packing()
+USUAL_OPTIONS = SogOptions()
 
 
 def write(
@@ -102,7 +102,7 @@ def write(
         palette_size: Largest number of entries of the palette of the higher coefficients, 1 to
             65,536; by default `USUAL_PALETTE`.
         bits: Bits of a component of a rotation, 4 to 8; all else follows, see `Precision`.
-        sh_bits: Bits of the codes of the higher coefficients, 2 to 8; see `Packing`.
+        sh_bits: Bits of the codes of the higher coefficients, 2 to 8; see `SogOptions`.
         spare: Bits that are dropped from centres, 0 to 6; by default the smaller the splats, the
             fewer.
 
@@ -110,8 +110,8 @@ def write(
         OutputError: A value is NaN, infinite or too large for a codebook, or there are too many
             splats for a texture; nothing has been written then.
     """
-    packing = Packing(palette_size, Precision(bits, spare), sh_bits)
-    files = contents(splats, on_progress, packing)
+    options = SogOptions(palette_size, Precision(bits, spare), sh_bits)
+    files = contents(splats, on_progress, options)
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as bundle:
         for name, data in files.items():
             bundle.writestr(plain_entry(name), data)
@@ -144,29 +144,29 @@ def write_folder(
         OutputError: As for `write`, or the folder exists and may not be replaced, or it cannot be
             made.
     """
-    packing = Packing(palette_size, Precision(bits, spare), sh_bits)
+    options = SogOptions(palette_size, Precision(bits, spare), sh_bits)
     with atomic_folder(path, ours, overwrite=overwrite) as folder:
-        for name, data in contents(splats, on_progress, packing).items():
+        for name, data in contents(splats, on_progress, options).items():
             (folder / name).write_bytes(data)
 
 
 def contents(
     splats: Splats,
     on_progress: PartProgress = ignore_progress,
-    packing: Packing = USUAL,
+    options: SogOptions = USUAL_OPTIONS,
 ) -> dict[str, bytes]:
     """Encode a model; return the contents of `meta.json` and its textures by file name.
 
     Args:
         splats: N splats.
         on_progress: Progress callback for computing the palette.
-        packing: The quantisation.
+        options: How values are quantised.
 
     Raises:
         OutputError: As for `write`.
     """
     with encoders() as pool:
-        return start_encoding(pool, splats, None, on_progress, packing)()
+        return start_encoding(pool, splats, None, on_progress, options)()
 
 
 def encoders() -> ThreadPoolExecutor:
@@ -181,7 +181,7 @@ def start_encoding(
     splats: Splats,
     groups: I64 | None = None,
     on_progress: PartProgress = ignore_progress,
-    packing: Packing = USUAL,
+    options: SogOptions = USUAL_OPTIONS,
 ) -> Callable[[], dict[str, bytes]]:
     """Compute the textures and submit their WebP encoding to a thread pool.
 
@@ -191,7 +191,7 @@ def start_encoding(
         groups: (N,) group numbers from 0 on. Splats are sorted by group, and in Morton order within
             a group; by default all are one group.
         on_progress: As for `contents`.
-        packing: As for `contents`.
+        options: As for `contents`.
 
     Returns:
         A function that waits for the encoding and returns the same as `contents`.
@@ -206,7 +206,7 @@ def start_encoding(
         future = parallel.try_submit(pool, encode, texels)
         encoding[name] = future.result if future else partial(encode, texels)
 
-    meta = _encode(splats, groups, packing, submit, on_progress)
+    meta = _encode(splats, groups, options, submit, on_progress)
     text = json.dumps(meta, separators=(",", ":"), allow_nan=False).encode()
     return lambda: {name: made() for name, made in encoding.items()} | {META: text}
 
@@ -259,24 +259,28 @@ def ours(folder: Path) -> frozenset[str] | None:
 
 
 def _encode(
-    splats: Splats, groups: I64 | None, packing: Packing, submit: Submit, on_progress: PartProgress
+    splats: Splats,
+    groups: I64 | None,
+    options: SogOptions,
+    submit: Submit,
+    on_progress: PartProgress,
 ) -> dict[str, Any]:
     """Compute and submit every texture, and return the contents of `meta.json`."""
-    fine = packing.precision
-    scales, colours = _codebooks((splats.log_scales, fine.scales), (splats.sh[:, 0], fine.colours))
-    codes, bounds = _codes(splats, scales, fine)
+    precision = options.precision
+    scales, colours = _codebooks(splats, precision)
+    codes, bounds = _codes(splats, scales, precision)
     rows = _morton_order(codes, groups)
     codes = codes[rows]
     submit("means_l.webp", _picture((codes & 255).astype(np.uint8)))
     submit("means_u.webp", _picture((codes >> 8).astype(np.uint8)))
     splats = splats.take(rows)
     flat = splats.render_mode is RenderMode.SURFEL
-    rounding = _rounding(fine.rotation_step)
+    rounding = _rounding(precision.rotation_step)
     quats, log_scales = minimise_rotation(splats, rounding, third_stays=flat)
-    submit("quats.webp", _picture(_quats(quats, fine.rotation_step, without_w=flat)))
+    submit("quats.webp", _picture(_quats(quats, precision.rotation_step, without_w=flat)))
     submit("scales.webp", _picture(nearest(log_scales, scales)))
-    rgba = np.column_stack([nearest(splats.sh[:, 0], colours), _alphas(splats, fine.alphas)])
-    submit("sh0.webp", _picture(rgba))
+    alphas = _alphas(splats, precision.alpha_steps)
+    submit("sh0.webp", _picture(np.column_stack([nearest(splats.sh[:, 0], colours), alphas])))
     meta: dict[str, Any] = {
         "version": 2,
         "asset": {"generator": GENERATOR},
@@ -290,32 +294,34 @@ def _encode(
     if splats.render_mode is RenderMode.DEFAULT:
         del meta["model"]  # older writers do not tag the default either
     if splats.sh_degree:
-        meta["shN"] = _higher(splats, packing, submit, on_progress)
+        meta["shN"] = _higher(splats, options, submit, on_progress)
     return meta
 
 
-def _codebooks(*wanted: tuple[F32, int]) -> list[F32]:
-    """Compute a codebook for each pair of values and number of entries, in parallel."""
-    return parallel.map_ordered(wanted, lambda values: codebook(*values))
+def _codebooks(splats: Splats, precision: Precision) -> tuple[F32, F32]:
+    """Compute the codebooks of the log-scales and of the base colours, in parallel."""
+    wanted = (splats.log_scales, precision.scale_codes), (splats.sh[:, 0], precision.colour_codes)
+    scales, colours = parallel.map_ordered(wanted, lambda values: codebook(*values))
+    return scales, colours
 
 
 def spare_bits(splats: Splats, bits: int = USUAL_BITS) -> int:
     """Compute the default of `spare` that `write` uses for a model and `bits`."""
     precision = Precision(bits)
-    return _grid(splats, codebook(splats.log_scales, precision.scales), precision).spare
+    return _grid(splats, codebook(splats.log_scales, precision.scale_codes), precision).spare
 
 
 def quantisation(splats: Splats, bits: int = USUAL_BITS, spare: int | None = None) -> Quantisation:
     """Return the values that `write` can give a model with `bits` and `spare`."""
-    fine = Precision(bits, spare)
-    scales, colours = _codebooks((splats.log_scales, fine.scales), (splats.sh[:, 0], fine.colours))
-    grid = _grid(splats, scales, fine)
-    levels = np.arange(fine.alphas + 1) / fine.alphas
-    codes = np.arange(0, CODES, fine.rotation_step)
+    precision = Precision(bits, spare)
+    scales, colours = _codebooks(splats, precision)
+    grid = _grid(splats, scales, precision)
+    levels = np.arange(precision.alpha_steps + 1) / precision.alpha_steps
+    codes = np.arange(0, CODES, precision.rotation_step)
     return Quantisation(
         centres=(_centres(splats, grid, 1), _centres(splats, grid, 2)),
         log_scales=np.unique(scales),
-        logits=BYTE_LOGITS[_alpha_codes(levels, fine.alphas)],
+        logits=BYTE_LOGITS[_alpha_codes(levels, precision.alpha_steps)],
         colours=np.unique(colours),
         # A surfel keeps its third axis, so that w need not be the largest component.
         rotations=None if splats.render_mode is RenderMode.SURFEL else _restored(codes),
@@ -335,7 +341,7 @@ def _sizes_as_decoded(splats: Splats, scales: F32, precision: Precision) -> Spla
     return replace(
         splats,
         log_scales=scales[nearest(splats.log_scales, scales)],
-        opacity_logits=BYTE_LOGITS[_alphas(splats, precision.alphas)],
+        opacity_logits=BYTE_LOGITS[_alphas(splats, precision.alpha_steps)],
     )
 
 
@@ -519,19 +525,19 @@ def _alpha_codes(alphas: F64, steps: int) -> U8:
 
 
 def _higher(
-    splats: Splats, packing: Packing, submit: Submit, on_progress: PartProgress
+    splats: Splats, options: SogOptions, submit: Submit, on_progress: PartProgress
 ) -> dict[str, Any]:
     """Submit the palette of the higher coefficients and its labels; return `shN` of `meta.json`."""
     degree = min(splats.sh_degree, MAX_DEGREE)
     coefficients = (degree + 1) ** 2 - 1
     points = splats.sh[:, 1 : coefficients + 1].reshape(len(splats), -1)
-    size = packing.palette_size or USUAL_PALETTE.entries(len(splats))
+    size = options.palette_size or USUAL_PALETTE.entries(len(splats))
     found = palette(points, size, visibility(splats), on_progress)
     entries = len(found.entries)
-    # A full palette may be one of merged harmonics, which came from rounded values.
-    own = entries < size or entries == len(splats)
-    kept = found.exact and (own or _few_values(found.entries))
-    sh_bits = packing.sh_bits or (_EXACT_BITS if kept else MERGED_BITS)
+    # A full palette may hold harmonics that were merged before, even if it is exact now.
+    full = size <= entries < len(splats)
+    unmerged = found.exact and (not full or _few_values(found.entries))
+    sh_bits = options.sh_bits or (_EXACT_BITS if unmerged else MERGED_BITS)
     book = codebook(found.entries, 1 << sh_bits)
     codes = nearest(found.entries, book)
     distinct = palette(codes.astype(np.float32), len(codes))  # each is written once
