@@ -589,7 +589,7 @@ def test_a_size_holds_more_splats_in_blocks_too(scene, tmp_path, monkeypatch, pa
     )
     assert again.size_probes == report.size_probes
     assert (tmp_path / f"again{path[1:]}").read_bytes() == (tmp_path / path).read_bytes()
-    monkeypatch.setattr("nanogs.pipeline.search.in_blocks.economical", lambda model, *_: model)
+    monkeypatch.setattr("nanogs.pipeline.search.job_files.economical", lambda model, *_: model)
     plain = nanogs.simplify_blocks(scene, tmp_path / f"plain{path[1:]}", **given_)
     assert report.achieved_count > 1.02 * plain.achieved_count
 

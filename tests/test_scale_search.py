@@ -13,7 +13,7 @@ from nanogs.clock import StageClock
 from nanogs.errors import ModelError, OptionError, OutputError, TooSmallError
 from nanogs.pipeline import work
 from nanogs.pipeline.search.file_size import ENOUGH
-from nanogs.pipeline.search.in_blocks import TRIED, JobFiles
+from nanogs.pipeline.search.job_files import TRIED, JobFiles
 from nanogs.pipeline.search.job_results import COUNT, MEASURED, JobResults
 from nanogs.pipeline.search.psnr import NEAR_DB
 from nanogs.pipeline.tasks.budget import budget
@@ -383,7 +383,7 @@ def test_marks_of_another_search_are_refused(scene, tmp_path, monkeypatch):
 
 
 def test_a_result_too_large_to_be_written_whole_is_refused(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("nanogs.pipeline.search.in_blocks.row_bytes", lambda _: 10**9)
+    monkeypatch.setattr("nanogs.pipeline.search.job_files.row_bytes", lambda _: 10**9)
     options = {"size": 40_000, "preset": "fast", "job": tmp_path / "job", "max_memory": "1GB"}
     with pytest.raises(OptionError, match=r"a\.sog: \.sog is not written block by block"):
         nanogs.simplify_blocks(scene, tmp_path / "a.sog", **options)

@@ -206,9 +206,8 @@ def _searched(
     from nanogs.pipeline.search.results import HeldResults
     from nanogs.pipeline.search.size_request import SizeRequest
 
-    some, known = _sample(checked), registry.writable(files.path)
-    looks = renders(checked.parameters)
-    request = SizeRequest(goal.size or 0, known, files.given, checked.sh_degree, looks=looks)
+    some, looks = _sample(checked), renders(checked.parameters)
+    request = SizeRequest(goal.size or 0, files.known, files.given, checked.sh_degree, looks=looks)
 
     def grown() -> HeldResults:
         return HeldResults(checked.build(threads, files.clock, progress), files.clock)

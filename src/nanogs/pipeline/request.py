@@ -287,9 +287,8 @@ class Request:
         known, given = registry.writable(self.output), self.format_options or {}
         looks = renders(self.parameters)
         request = SizeRequest(self.goal.size, known, given, self.sh_degree, looks=looks)
-        refuse_small_size(
-            request, some, HeldFiles(self.output, given, some, StageClock(), self.frame)
-        )
+        files = HeldFiles(self.output, given, some, StageClock(), self.frame)
+        refuse_small_size(request, some, files)
 
     def refuse_device_in_blocks(self) -> None:
         """Refuse any device but the CPU for a model in blocks.

@@ -1,6 +1,6 @@
 """The interface that writes results to measure their files, and that of a model in memory.
 
-The one of a scene in blocks is in `in_blocks`.
+The one of a scene in blocks is in `job_files`.
 """
 
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from nanogs.clock import StageClock
 from nanogs.frames import back, turned
@@ -19,6 +19,7 @@ from nanogs.io import (
     round_trip,
     round_trip_with_size,
 )
+from nanogs.io.format import Format
 from nanogs.io.rate_distortion import Curvatures
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.rounded import rounded
@@ -38,12 +39,33 @@ class Files(Protocol[R]):
     """Writes results to measure how large their files are, and how good they look.
 
     Attributes:
+        output: Path of the output file; files that are measured have its format.
+        given: Options of the format that the user has chosen.
         clock: Gets the seconds of each stage.
         latest_filled: The latest result that was rounded to fill a size, and its bytes.
     """
 
+    output: Path
+    given: Options
     clock: StageClock
     latest_filled: Latest[tuple[R, int]]
+
+    @property
+    def known(self) -> Format:
+        """The format of the files."""
+        return registry.writable(self.output)
+
+    @property
+    def frame(self) -> tuple[str, str] | None:
+        """Source and target frame that splats are turned from and to before encoding."""
+
+    @property
+    def views(self) -> SelectionViews:
+        """The original on the views to choose by, which are not those that judge the result."""
+
+    def with_given(self, options: Options) -> dict[str, Any]:
+        """Return options of the format together with those that the user has chosen."""
+        return {**self.given, **options}
 
     def open_original(self) -> AbstractContextManager[Splats | Source]:
         """Open the original, in its own frame."""
@@ -68,8 +90,8 @@ class Files(Protocol[R]):
     ) -> tuple[R, int]:
         """Return a result that is delivered, rounded so that its file fills a size, and its bytes.
 
-        As no more splats fit, values are as fine as they can be. The arguments are those of
-        `bytes_of`.
+        If usual rounding leaves room, which no more splats can fill, values are rounded as finely
+        as fills it. The arguments are those of `bytes_of`.
         """
         found = self._filling(result, options, size, coarseness)
         if found[1] >= ENOUGH * size:
@@ -106,9 +128,13 @@ class Files(Protocol[R]):
 
     def sample_bytes(self, some: Splats, options: Options) -> int:
         """Return the size of a file of some splats with options of the format, bytes."""
+        with self.clock.time("encode"):
+            return encoded_bytes(turned(some, self.frame), self.output, self.with_given(options))
 
     def shows(self) -> bool:
         """Whether the views to choose by show the original, so that files can be compared."""
+        with self.clock.time("measure"):
+            return bool(self.views.kinds)
 
     def measure(self, result: R, sh_degree: int, options: Options) -> PackingReport:
         """Write a result to a file; measure its bytes, and its quality on the views to choose by.
@@ -134,7 +160,7 @@ class HeldFiles(Files[Outcome]):
     """Encodes and measures results of a model in memory; see `Files`.
 
     Attributes:
-        path: The output file; only its suffix counts.
+        output: Path of the output file, of which only the suffix counts.
         given: Options of its format that the user has chosen.
         original: The model.
         clock: Accumulates the seconds of each stage.
@@ -142,7 +168,7 @@ class HeldFiles(Files[Outcome]):
         by_psnr: Whether the goal is a PSNR, which is measured on automatic views alone.
     """
 
-    path: Path
+    output: Path
     given: Options
     original: Splats
     clock: StageClock
@@ -164,18 +190,13 @@ class HeldFiles(Files[Outcome]):
         """Return the number of splats of a result; see `Files.count`."""
         return len(result.splats)
 
-    def sample_bytes(self, some: Splats, options: Options) -> int:
-        """Return the bytes of a file of some splats; see `Files.sample_bytes`."""
-        with self.clock.time("encode"):
-            return encoded_bytes(turned(some, self.frame), self.path, {**self.given, **options})
-
     def rounded(self, result: Outcome, options: Options) -> Outcome:
         """Return a result whose values are rounded to pack well; see `Files.rounded`."""
         return self._economical(result, options, 1.0)
 
     def curvatures(self, result: Outcome) -> Curvatures | None:
         """Return how much a result's values show; see `Files.curvatures`."""
-        return result.curvatures if registry.writable(self.path).quantisation else None
+        return result.curvatures if self.known.quantisation else None
 
     def packed(self, result: Outcome, options: Options, coarseness: float) -> tuple[Outcome, int]:
         """Return a rounded result and the bytes of its file; see `Files.packed`."""
@@ -186,20 +207,15 @@ class HeldFiles(Files[Outcome]):
         if self.curvatures(result) is None:
             return result
         with self.clock.time("encode"):
-            given = {**self.given, **options}
-            return rounded(result, self.path, given, self.frame, coarseness)
-
-    def shows(self) -> bool:
-        """Return whether any view shows the original; see `Files.shows`."""
-        with self.clock.time("measure"):
-            return bool(self.views.kinds)
+            given = self.with_given(options)
+            return rounded(result, self.output, given, self.frame, coarseness)
 
     def measure(self, result: Outcome, sh_degree: int, options: Options) -> PackingReport:
         """Encode a result and measure its bytes and quality; see `Files.measure`."""
         with self.clock.time("encode"):
             bare = turned(result.splats.with_sh_degree(sh_degree), self.frame)
-            options = {**options, **derived_options(bare, self.path, {**self.given, **options})}
-            small, size = round_trip_with_size(bare, self.path, {**self.given, **options})
+            options = {**options, **derived_options(bare, self.output, self.with_given(options))}
+            small, size = round_trip_with_size(bare, self.output, self.with_given(options))
         with self.clock.time("measure"):
             found = self.views.judge(turned(small, back(self.frame)))
             before = self._unpacked.of(
@@ -211,8 +227,8 @@ class HeldFiles(Files[Outcome]):
     @contextmanager
     def stored(self, result: Outcome, options: Options) -> Iterator[Splats]:
         """Encode a result and read it back; see `Files.stored`."""
-        given, small = {**self.given, **options}, self.rounded(result, options).splats
-        yield turned(round_trip(turned(small, self.frame), self.path, given), back(self.frame))
+        small = turned(self.rounded(result, options).splats, self.frame)
+        yield turned(round_trip(small, self.output, self.with_given(options)), back(self.frame))
 
     def unwritten(self, result: Outcome) -> AbstractContextManager[Splats]:
         """Return the splats of a result, which are turned only when they are encoded."""
