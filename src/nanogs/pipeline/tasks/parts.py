@@ -25,7 +25,7 @@ from nanogs.store.columns import (
     splats_of,
 )
 from nanogs.store.scratch import Scratch
-from nanogs.store.tables import Record, Table, write_table
+from nanogs.store.tables import Record, Table, read_column, write_table
 
 if TYPE_CHECKING:
     from nanogs.pipeline.work import Work
@@ -85,32 +85,28 @@ def columns_of_curvatures(curvatures: Curvatures) -> dict[str, Array]:
 def read_curvatures(work: "Work", level: int) -> Curvatures | None:
     """Read the curvatures of a level's splats, in the order of `LevelSource`.
 
-    Splats of blocks that were not fitted are typical.
+    Splats of blocks that were not fitted get the median of all others.
 
     Returns:
         None if no block was fitted, or if splats were merged afterwards.
     """
     records = work.delivered(level)
     names = [each.name for each in fields(Curvatures)]
-    known = [_CURVATURE + names[0] in record.columns for record in records]
-    if not any(known) or work.delivered_count(level) > work.target(level):
+    fitted = [record for record in records if _CURVATURE + names[0] in record.columns]
+    if not fitted or work.delivered_count(level) > work.target(level):
         return None
-    read: dict[str, F32] = {}
-    for name in names:
-        parts = []
-        for record, has in zip(records, known, strict=True):
-            with Table(work.scratch, record) as table:
-                parts.append(table.read(_CURVATURE + name) if has else None)
-        typical = np.median(np.concatenate([part for part in parts if part is not None]), axis=0)
-        read[name] = np.concatenate(
-            [
-                np.broadcast_to(typical, (count_of(record), *typical.shape))
-                if part is None
-                else part
-                for record, part in zip(records, parts, strict=True)
-            ]
-        ).astype(np.float32)
-    return Curvatures(**read)
+
+    def read(name: str) -> F32:
+        parts: dict[str, Array] = {
+            record.name: read_column(work.scratch, record, _CURVATURE + name) for record in fitted
+        }
+        median = np.median(np.concatenate([*parts.values()]), axis=0)
+        for record in records:
+            if record.name not in parts:
+                parts[record.name] = np.broadcast_to(median, (count_of(record), *median.shape))
+        return np.concatenate([parts[record.name] for record in records]).astype(np.float32)
+
+    return Curvatures(**{name: read(name) for name in names})
 
 
 def simplify_further(small: Splats, target: int, settings: Settings, threads: int) -> Splats:
