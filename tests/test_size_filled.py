@@ -11,7 +11,7 @@ from nanogs.io.rate_distortion import Curvatures
 from nanogs.pipeline.search.coarseness import COARSEST, FINER, FINEST
 from nanogs.pipeline.search.file_size import AIM
 from nanogs.pipeline.search.files import Files
-from nanogs.pipeline.search.filled import fill_size
+from nanogs.pipeline.search.fill_size import fill_size
 from nanogs.pipeline.search.latest import Latest
 from nanogs.pipeline.search.packer import WHOLE, ChosenPacking, Packer
 from nanogs.pipeline.search.packing import FINE, Packing

@@ -209,7 +209,7 @@ def test_the_search_for_a_size_never_exceeds_it(seed):
     best = found.bytes >= ENOUGH * size or found.count == available
     close = too_large and min(too_large) <= max((1 + CLOSE) * found.count, found.count + 1)
     assert best or close or len(counts) >= FIT_PROBES
-    assert bool(found.leap(size, available)) is not best
+    assert bool(found.notes(size, available)) is not best
 
 
 def test_a_size_below_that_of_the_lowest_count_is_refused():

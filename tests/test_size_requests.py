@@ -259,8 +259,8 @@ def test_the_viewer_in_a_page_does_not_count_as_used_size():
     viewer = 1_400_000
     fitted = search_fit(lambda n: viewer + 20 * n, viewer + 10_000, 1, 1, 10**6, overhead=viewer)
     assert fitted.bytes - viewer >= 0.98 * 10_000
-    assert not fitted.leap(viewer + 10_000, 10**6, viewer)
-    assert "of the requested size" in replace(fitted, bytes=viewer).leap(10**7, 10**6, viewer)[0]
+    assert not fitted.notes(viewer + 10_000, 10**6, viewer)
+    assert "of the requested size" in replace(fitted, bytes=viewer).notes(10**7, 10**6, viewer)[0]
 
 
 def test_a_page_uses_the_size_that_the_viewer_leaves(tmp_path):
@@ -278,17 +278,18 @@ def test_a_search_that_ends_early_says_so():
     assert (len(fitted.probes), fitted.stop) == (MOST_PROBES, "settled")
     counts = [probe.count for probe in fitted.probes]
     assert counts == [16**power for power in range(MOST_PROBES)]
-    assert "no larger one was found in the allowed number of tries" in fitted.leap(10**6, 10**99)[0]
+    (note,) = fitted.notes(10**6, 10**99)
+    assert "no larger one was found in the allowed number of tries" in note
 
 
 def test_the_file_that_is_named_as_too_large_has_more_splats():
     """A plain cut that leads the search may take more bytes than a fitted result of more splats."""
     probes = (SizeProbeReport(900, 1010), SizeProbeReport(950, 900), SizeProbeReport(959, 1200))
-    (note,) = FittedSize(950, 900, probes, StopReason.STEP).leap(1000, 2000)
+    (note,) = FittedSize(950, 900, probes, StopReason.STEP).notes(1000, 2000)
     assert note.endswith("because a file of 959 splats takes 1,200 B.")
     fitted = FittedSize(950, 900, (SizeProbeReport(990, 1300), *probes), StopReason.STEP)
-    assert fitted.leap(1000, 2000) == (note,), "the smallest of those"
-    assert FittedSize(950, 900, ()).leap(1000, 2000) == (), "nothing was tried"
+    assert fitted.notes(1000, 2000) == (note,), "the smallest of those"
+    assert FittedSize(950, 900, ()).notes(1000, 2000) == (), "nothing was tried"
 
 
 def test_a_size_below_any_file_is_found_out_soon():

@@ -11,8 +11,8 @@ MOST_TRIED = 4
 # byte; beyond them, another count gains more.
 FINER, COARSEST = 0.8, 1.6
 FINEST = 1 / 64  # if no more splats fit; values are then nearly the nearest
-# How the logarithm of the bytes falls with that of the coarseness: at first, and at least.
-SLOPE, LEAST_SLOPE = 0.05, 0.02
+# How much the logarithm of the bytes falls with that of the coarseness: at first, and at least.
+USUAL_FALL, LEAST_FALL = 0.05, 0.02
 
 T = TypeVar("T")
 
@@ -34,15 +34,15 @@ def fill_by_rounding(
         The result and its bytes: with a coarseness of 1 if none fills the size.
     """
     usual = found = packed(1.0)
-    place, slope = 0.0, SLOPE  # the logarithm of the coarseness
+    coarseness, fall = 0.0, USUAL_FALL  # the coarseness as a logarithm
     for _ in range(MOST_TRIED):
         if ENOUGH * size <= found[1] <= size:
             return found
-        wanted = place + math.log(found[1] / (AIM * size)) / slope
+        wanted = coarseness + math.log(found[1] / (AIM * size)) / fall
         following = min(max(wanted, math.log(finest)), math.log(COARSEST))
-        if following == place:
+        if following == coarseness:
             break
         before, found = found, packed(math.exp(following))
-        slope = max(math.log(before[1] / found[1]) / (following - place), LEAST_SLOPE)
-        place = following
+        fall = max(math.log(before[1] / found[1]) / (following - coarseness), LEAST_FALL)
+        coarseness = following
     return found if ENOUGH * size <= found[1] <= size else usual

@@ -6,14 +6,13 @@ forest, to get near the count; then with full results, measured as they are deli
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from nanogs.costs import DrawCost
 from nanogs.errors import TooSmallError
 from nanogs.formatting import counted
 from nanogs.pipeline.estimates.stage_weights import COUNTS
 from nanogs.pipeline.search.files import Files
-from nanogs.pipeline.search.results import Attempts, Delivered, Results, T
+from nanogs.pipeline.search.results import Attempts, Delivered, Found, Results, T
 from nanogs.progress import Stage, Tracker
 from nanogs.report import DrawProbeReport, StopReason
 from nanogs.scoring.draw_views import DrawViews
@@ -26,15 +25,7 @@ POWER = 0.4  # splats per pixel grow as this power of the count; measured scenes
 POWERS = 0.2, 1.5  # limits of a measured power: values outside are due to noise
 
 _Probe = DrawProbeReport | None
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """The result of a search: the count found, the counts tried, and why the search ended."""
-
-    count: int
-    probes: tuple[DrawProbeReport, ...]
-    stop: StopReason
+_Found = Found[DrawProbeReport]
 
 
 def search_share(
@@ -46,7 +37,7 @@ def search_share(
     power: float = POWER,
     *,
     quick: bool = False,
-) -> Found:
+) -> _Found:
     """Search for a count whose share is between `(1 - NEAR_SHARE) * asked` and `asked`.
 
     Apart from noise, the share grows with the count, nearly as a straight line in log-log scale.
@@ -181,10 +172,10 @@ def search_draw_cost(
         del quick  # frees the result that it holds
         probes, guess, power = near.probes, near.count, _power(near.probes)
         progress.begin("deliver")
-    if tried.best is not None:
-        probes, found = (), Found(results.available, (), StopReason.TARGET)
-    else:
+    if tried.best is None:
         found = search_share(tried, asked, *limits, guess, power)
+    else:
+        probes, found = (), Found(results.available, (), StopReason.TARGET)
     result = tried.found()
     results.verify(result, progress)
     fields = {"draw_probes": probes + found.probes, "stop": found.stop, "cost": cost_of(result)}

@@ -23,10 +23,10 @@ ENOUGH = 0.98  # share at which a file that fits ends the search
 TOLERANCE = 0.01  # the search also ends if a count larger by this share is too large
 MOST_PROBES = 12
 SIZE_SAMPLE = 8192  # splats of the input that are written for the first guess
-HOPELESS = 0.5  # share of the size of a one-splat file; anything smaller is refused at once
+HOPELESS_SHARE = 0.5  # share of the size of a one-splat file; anything smaller is refused at once
 # After a count that is too large, the next is at most this share of it: at first, later on.
-_STEPS = 0.995, 0.97
-_LEAP = 16  # while all counts fit, the next is at most this many times the largest
+_SHRUNK = 0.995, 0.97
+_MOST_TIMES = 16  # while all counts fit, the next is at most this many times the largest
 
 WHOLE_FITS = "The whole model fits into the requested size; nothing was merged."
 
@@ -45,7 +45,7 @@ class FittedSize:
     probes: tuple[SizeProbeReport, ...]
     stop: StopReason = StopReason.TARGET
 
-    def leap(self, size: int, available: int, overhead: int = 0) -> tuple[str, ...]:
+    def notes(self, size: int, available: int, overhead: int = 0) -> tuple[str, ...]:
         """Return a note if much of the size is unused, mostly because the size jumps there."""
         if not self.probes or self.count == available:
             return ()
@@ -196,11 +196,11 @@ def _next(fits: Probe, over: Probe, aim: float, probes: Sequence[SizeProbeReport
     tried = len(probes)
     if over is None:
         assert fits is not None  # noqa: S101 - one count has been tried
-        found = min(_along(probes[-2:], aim), _LEAP * fits.count)
+        found = min(_along(probes[-2:], aim), _MOST_TIMES * fits.count)
         return max(int(found), fits.count + 1)
     if fits is None:
-        step = _STEPS[tried > 1] if tried < MOST_PROBES else 0.5  # so that the search ends
-        return int(min(_along(probes[-2:], aim), over.count * step))
+        shrunk = _SHRUNK[tried > 1] if tried < MOST_PROBES else 0.5  # so that the search ends
+        return int(min(_along(probes[-2:], aim), over.count * shrunk))
     between = over.count - fits.count
     share = 0.5 if tried % 2 else (aim - fits.bytes) / (over.bytes - fits.bytes)
     return min(max(fits.count + int(share * between), fits.count + 1), over.count - 1)
@@ -265,7 +265,7 @@ def refuse_hopeless(sample: Splats, size: int, encode: Encode) -> None:
         TooSmallError: The size is less than half of a one-splat file.
     """
     least = _least(sample, encode)
-    if size < HOPELESS * least:
+    if size < HOPELESS_SHARE * least:
         raise TooSmallError(
             f"The size {size:,} B is too small: a file of one splat of this model takes about"
             f" {least:,} B; allow more."

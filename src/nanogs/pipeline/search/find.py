@@ -5,7 +5,7 @@ from collections.abc import Callable
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.search.draw_cost import search_draw_cost
 from nanogs.pipeline.search.files import Files
-from nanogs.pipeline.search.filled import fill_size
+from nanogs.pipeline.search.fill_size import fill_size
 from nanogs.pipeline.search.packer import Packer, PackingForPsnr
 from nanogs.pipeline.search.psnr import search_psnr
 from nanogs.pipeline.search.results import Delivered, Results, T

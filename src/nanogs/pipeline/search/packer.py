@@ -20,12 +20,13 @@ from nanogs.report import PackingReport
 from nanogs.splats import Splats
 
 BLIND = "No view shows the model, so the packing of the file was not chosen by how it looks."
-# Bytes of a file in which fitted values are rounded so that they pack well, over those with the
-# nearest values, without and with harmonics, of which most of a file consists: 0.84 to 0.97 and
-# 0.92 to 0.995. Packings are compared with these, and the count of the chosen one is corrected by
-# the share that a result has which is only compared. After a whole fit it is that times `WHOLE`;
-# with harmonics a little more, because rounding could not make a file that is too large fit.
+# Values of a delivered result are rounded so that they pack well, those of results that are only
+# compared to the nearest. The ratio of the bytes of both files, without and with harmonics, which
+# are not rounded so and are most of a file: assumed here, in trained scenes 0.84 to 0.97 and 0.92
+# to 0.995. It is measured for each result that is compared, to correct the count.
 ROUNDED, ROUNDED_HARMONICS = 0.92, 0.98
+# The ratio after a whole fit over the measured one. With harmonics it is a little more than in
+# trained scenes, because rounding could not make a file that is too large fit.
 WHOLE, WHOLE_HARMONICS = 0.99, 1.005
 CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
 
@@ -84,7 +85,8 @@ class Packer(Generic[T]):
         files: Writes and measures results.
         progress: Notified of each stage.
         tried: Number of results that were made to choose by.
-        rounded: Share of bytes that rounding left of a file of the latest of these.
+        rounding_ratio: Bytes of the latest of these if its values are rounded so that they pack
+            well, over those with the nearest values.
     """
 
     results: Results[T]
@@ -93,7 +95,7 @@ class Packer(Generic[T]):
     files: Files[T]
     progress: Tracker
     tried: int = field(default=0, init=False)
-    rounded: float = field(default=1.0, init=False)
+    rounding_ratio: float = field(default=1.0, init=False)
     _guesses: dict[Packing, int] = field(default_factory=dict, init=False)
 
     def pack(self) -> ChosenPacking:
@@ -116,22 +118,28 @@ class Packer(Generic[T]):
             choices, self._size, self._slope(choices), self.guess, self._make_and_measure,
             self.results.available,
         )  # fmt: skip
-        if (usual := self._usually_rounded) < 1:
+        if self.rounds:
             whole = WHOLE_HARMONICS if self.sample.sh_degree else WHOLE
-            count = self.deliverable(round(count * usual / (whole * self.rounded)))
+            ratio = self._usual_ratio / (whole * self.rounding_ratio)
+            count = self.deliverable(round(count * ratio))
         return packed(packing, count, tried)
 
     @property
-    def _usually_rounded(self) -> float:
-        """Share of bytes that rounding leaves of a file, before any was made."""
-        if not self.results.fits or self.request.known.quantisation is None:
+    def rounds(self) -> bool:
+        """Whether values of delivered results are rounded so that they pack well."""
+        return self.results.fits and self.request.known.quantisation is not None
+
+    @property
+    def _usual_ratio(self) -> float:
+        """The usual `rounding_ratio`; 1 if delivered values are rounded to the nearest, too."""
+        if not self.rounds:
             return 1.0
         return ROUNDED_HARMONICS if self.sample.sh_degree else ROUNDED
 
     @property
     def _size(self) -> int:
-        """Bytes that files may have whose values are rounded to the nearest, as those compared."""
-        return int(self.request.size / self._usually_rounded)
+        """Bytes that files which are compared may have: their values are the nearest."""
+        return int(self.request.size / self._usual_ratio)
 
     def _unseen(self, choices: Choices) -> Packing:
         """Return the packing if nothing is rendered.
@@ -201,15 +209,15 @@ class Packer(Generic[T]):
         def measure(result: T) -> dict[str, Any]:
             part.begin("encode")
             found = measure_files(partial(self._measure, result))
-            rounded = 1.0
-            if self._usually_rounded < 1:
+            ratio = 1.0
+            if self.rounds:
                 coarseness, options = choices.coarseness(found[0]), found[0].options
                 _, left = self.files.packed(result, options, coarseness)
-                rounded = left / found[0].bytes
-            return {"files": [asdict(each) for each in found], "rounded": rounded}
+                ratio = left / found[0].bytes
+            return {"files": [asdict(each) for each in found], "rounded": ratio}
 
         _, measured = brief.make_and_measure(count, measure, part)
-        self.rounded = measured["rounded"]
+        self.rounding_ratio = measured["rounded"]
         return [PackingReport(**each) for each in measured["files"]]
 
     def _measure(self, result: T, packing: Packing) -> PackingReport:

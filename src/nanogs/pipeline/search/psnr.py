@@ -6,11 +6,11 @@ are made and measured as they are delivered, until one is within `NEAR_DB` above
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from nanogs.pipeline.estimates.stage_weights import COUNTS
 from nanogs.pipeline.search.packer import PackingForPsnr
-from nanogs.pipeline.search.results import Attempts, Delivered, M, Results, T
+from nanogs.pipeline.search.results import Attempts, Delivered, Found, M, Results, T
 from nanogs.progress import Stage, Tracker
 from nanogs.protocol import VIEWS
 from nanogs.report import ProbeReport, StopReason
@@ -23,25 +23,17 @@ MOST_PROBES = 24
 GUESS = 0.1  # share of the splats in the first probe
 # Counts that differ by at most this share are neighbours; also the share of splats to be saved.
 TOLERANCE = 0.01
-STEPS = 6  # number of counts tried below a step of the PSNR
+BELOW_STEP = 6  # number of counts tried below a step of the PSNR
 STRIDE = 0.05  # distance between these, as a share of the count of the step
 BISECT_AFTER = 6  # number of probes after which every second one halves the range that is left
 USUAL_SLOPE = 3.0  # dB for e times the splats; trained scenes: 2 to 5
 SLOPES = 1.0, 10.0  # dB, limits of a measured slope: beyond them, small unevennesses mislead
-LEAP = 3.0  # largest change of the log of the count at once, while one side is unknown
+MOST_LOG_CHANGE = 3.0  # largest change of the log of the count at once, while one side is unknown
 FAR = 0.7  # share of the largest count, beyond which the largest is tried at once
-HOPELESS = 6.0  # dB that a quick result may lack and delivered results still be tried
+HOPELESS_DB = 6.0  # dB that a quick result may lack and delivered results still be tried
 
 _Probe = ProbeReport | None
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """The result of a search: its count, the counts tried, and why it ended."""
-
-    count: int
-    probes: tuple[ProbeReport, ...]
-    stop: StopReason
+_Found = Found[ProbeReport]
 
 
 def search_count(
@@ -53,7 +45,7 @@ def search_count(
     slope: float | None = None,
     *,
     quick: bool = False,
-) -> Found:
+) -> _Found:
     """Search for a count whose PSNR is at least `asked` and at most `NEAR_DB` above it.
 
     PSNR grows with the count but for small unevennesses, and nearly linearly in its logarithm. The
@@ -99,8 +91,8 @@ def search_count(
 
 
 def _below_step(
-    psnr_of: Callable[[int], float], found: Found, asked: float, fewest: int, *, quick: bool
-) -> Found:
+    psnr_of: Callable[[int], float], found: _Found, asked: float, fewest: int, *, quick: bool
+) -> _Found:
     """After a search that ended at a step, try counts below it.
 
     The count found is one within the span after all, or the smallest that reaches `asked`.
@@ -108,7 +100,7 @@ def _below_step(
     if found.stop is not StopReason.STEP:
         return found
     step = found.count
-    for i in range(1, STEPS + 1):
+    for i in range(1, BELOW_STEP + 1):
         count = round(step * (1 - STRIDE * i))
         if count < fewest or any(probe.count == count for probe in found.probes):
             continue
@@ -159,7 +151,7 @@ def _beyond(probes: list[ProbeReport], asked: float, most: int, slope: float | N
     if len(probes) > 1 or slope is None:
         slope = _slope(probes)
     lack = asked + NEAR_DB / 2 - latest.psnr
-    step = min(max(lack / slope, -LEAP), LEAP)
+    step = min(max(lack / slope, -MOST_LOG_CHANGE), MOST_LOG_CHANGE)
     count = round(latest.count * math.exp(step))
     return most if step > 0 and count > FAR * most else count
 
@@ -208,7 +200,7 @@ def reach_psnr(
     progress: Tracker,
     pack: Callable[[int], tuple[Results[T], int]],
     smaller: Callable[[T, T, Callable[[], bool]], bool],
-) -> tuple[T, Found]:
+) -> tuple[T, _Found]:
     """Find the smallest result of a model that reaches a PSNR on held-out views.
 
     The result that is measured is delivered: the result of a count is the same each time.
@@ -260,14 +252,14 @@ def _measuring(_count: int) -> Stage:
     return Stage("measure", VIEWS * 0.02)
 
 
-def _hopeless(near: Found, asked: float) -> bool:
+def _hopeless(near: _Found, asked: float) -> bool:
     """Whether a quick result of even 99 % of the model is far below what is asked."""
     return near.stop is StopReason.UNREACHED and (
-        not near.probes or near.probes[-1].psnr < asked - HOPELESS
+        not near.probes or near.probes[-1].psnr < asked - HOPELESS_DB
     )
 
 
-def _whole(results: Results[T], found: Found, progress: Tracker) -> tuple[T, Found]:
+def _whole(results: Results[T], found: _Found, progress: Tracker) -> tuple[T, _Found]:
     """Return the whole model, because no smaller one reaches what is asked."""
     result = results.make(results.available, progress)
     return result, replace(found, count=results.available, stop=StopReason.UNREACHED)

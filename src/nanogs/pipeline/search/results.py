@@ -15,9 +15,14 @@ from nanogs.pipeline.options.settings import Settings, brief, plain
 from nanogs.pipeline.outcome import Outcome
 from nanogs.pipeline.run import deliver
 from nanogs.progress import Stage, Tracker
+from nanogs.report import StopReason
 
 T = TypeVar("T")
+"""A result: an `Outcome` in memory, a `job_results.Result` in blocks."""
 M = TypeVar("M")
+"""A measurement of a result."""
+P = TypeVar("P")
+"""The report of one count that was tried."""
 
 
 class Results(Protocol[T]):
@@ -90,6 +95,21 @@ class Results(Protocol[T]):
 
     def verify(self, result: T, progress: Tracker) -> None:
         """Make damaged or missing files of a result again, if an earlier run made them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found(Generic[P]):
+    """The outcome of a search for a count.
+
+    Attributes:
+        count: The count.
+        probes: The counts that were tried, in order, with what was measured.
+        stop: Why the search ended.
+    """
+
+    count: int
+    probes: tuple[P, ...]
+    stop: StopReason
 
 
 class Delivered(NamedTuple, Generic[T]):

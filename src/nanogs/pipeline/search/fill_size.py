@@ -28,25 +28,17 @@ def fill_size(packer: Packer[T]) -> Delivered[T]:
     smallest = _smallest(packer)
     packed = packer.pack()
     try:
-        result, fitted = _filled(packer, packed)
+        result, fitted = _make_largest(packer, packed)
     except TooSmallError:
         fewest = packer.results.fewest
         packed = replace(packed, packing=smallest, count=fewest, tight=True)
-        result, fitted = _filled(packer, packed)
+        result, fitted = _make_largest(packer, packed)
     packer.results.verify(result, packer.progress)
-    known, available = packer.request.known, packer.results.available
-    if fitted.count < available and packer.files.curvatures(result) is not None:
-        options = packed.packing.options(packer.files.count(result))
-        coarseness = packed.packing.coarseness
-        result, taken = packer.files.filled(result, options, packer.request.size, coarseness)
-        full = taken >= ENOUGH * packer.request.size
-        fitted = replace(fitted, bytes=taken, stop=StopReason.TARGET if full else fitted.stop)
-    notes = fitted.leap(packer.request.size, available, known.overhead_bytes()) + packed.notes
-    if fitted.count == available and known.file_bytes is None:
-        left_out = packed.packing.sh_degree < packer.sample.sh_degree
-        notes += (whole_fits(left_out=left_out),)
+    if fitted.count < packer.results.available and packer.files.curvatures(result) is not None:
+        result, fitted = _fill_by_rounding(packer, packed, result, fitted)
     fields = {"achieved_size": fitted.bytes, "size_probes": fitted.probes, "stop": fitted.stop}
-    return Delivered(result, fields | packed.report_fields(packer.files.count(result)), notes)
+    fields |= packed.report_fields(packer.files.count(result))
+    return Delivered(result, fields, _notes(packer, packed, fitted))
 
 
 def _smallest(packer: Packer[T]) -> Packing:
@@ -75,8 +67,29 @@ def _smallest(packer: Packer[T]) -> Packing:
     return packing
 
 
-def _filled(packer: Packer[T], packed: ChosenPacking) -> tuple[T, FittedSize]:
-    """Make the result that fills a size in a given packing, and tell which counts were tried.
+def _fill_by_rounding(
+    packer: Packer[T], packed: ChosenPacking, result: T, fitted: FittedSize
+) -> tuple[T, FittedSize]:
+    """Round the values of a result so that its file fills the size, as far as they can."""
+    packing, size = packed.packing, packer.request.size
+    options = packing.options(packer.files.count(result))
+    result, taken = packer.files.filled(result, options, size, packing.coarseness)
+    stop = StopReason.TARGET if taken >= ENOUGH * size else fitted.stop
+    return result, replace(fitted, bytes=taken, stop=stop)
+
+
+def _notes(packer: Packer[T], packed: ChosenPacking, fitted: FittedSize) -> tuple[str, ...]:
+    """Return notes on room that is left, on the packing, and on a model that fits whole."""
+    known, available = packer.request.known, packer.results.available
+    notes = fitted.notes(packer.request.size, available, known.overhead_bytes()) + packed.notes
+    if fitted.count == available and known.file_bytes is None:
+        left_out = packed.packing.sh_degree < packer.sample.sh_degree
+        notes += (whole_fits(left_out=left_out),)
+    return notes
+
+
+def _make_largest(packer: Packer[T], packed: ChosenPacking) -> tuple[T, FittedSize]:
+    """Make the largest result that fits into the size in a packing; tell which counts were tried.
 
     Raises:
         TooSmallError: Not even the fewest splats fit in this packing.
