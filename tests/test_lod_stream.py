@@ -4,6 +4,7 @@ import hashlib
 import itertools
 import json
 import os
+import re
 import shutil
 import stat
 import weakref
@@ -20,7 +21,7 @@ from builders import random_splats
 from conftest import scene_path
 from launch import run
 from nanogs import io
-from nanogs.errors import OutputError
+from nanogs.errors import OptionError, OutputError
 from nanogs.formatting import bytes_text
 from nanogs.io import atomic
 from nanogs.io.folder import atomic_folder
@@ -32,6 +33,8 @@ from nanogs.lod.chunks import SortedLevel
 from nanogs.lod.folder import LevelsFolder, made_files
 from nanogs.lod.layout import LodLayout, block_layout_of, output_of
 from nanogs.lod.streamed_sog import StreamedSog
+from nanogs.lod.tiles import Tiles
+from nanogs.lod.tree_blocks import Linked
 from nanogs.threads import most_threads, use_threads
 from supersplat_page import render_in_supersplat
 from test_cli import assert_refused
@@ -546,6 +549,87 @@ def test_the_output_name_determines_the_layout():
     assert output_of(Path("a/b.c")).layout is LodLayout.FILES
     assert output_of(Path("a/b.c")).path == Path("a/b.c")
     assert output_of(Path("a/lod-meta.json")).folder == Path("a")
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix", "layout", "opened", "model"),
+    [
+        ("web/lod-meta.json", None, "streamed sog", "web/lod-meta.json", "web/level_0.sog"),
+        ("web/tileset.json", None, "3d tiles", "web/tileset.json", "web/level_0.glb"),
+        ("a.SSOG", None, "streamed sog archive", "a.SSOG", "a.SSOG/level_0.sog"),
+        ("a.RAD", None, "spark tree", "a.RAD", "a.RAD/level_0.rad"),
+        ("web", None, "files", "web", "web/level_0.ply"),
+        ("web", "spz", "files", "web", "web/level_0.spz"),
+    ],
+)
+def test_the_output_has_a_path_to_open_and_models_of_one_format(
+    name, suffix, layout, opened, model
+):
+    output = output_of(Path(name), suffix)
+    assert (output.layout, output.path, output.model) == (layout, Path(opened), Path(model))
+
+
+KINDS = "levels are described by a file called lod-meta.json or tileset.json; name that, as in"
+SEVERAL = "but there are several levels: name a folder, as in a/b/"
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix", "message"),
+    [
+        ("a.ssog", ".ply", "because a.ssog already determines it; leave it out."),
+        ("a.RAD", "spz", "because a.RAD already determines it; leave it out."),
+        ("a/tileset.json", "ply", "because tileset.json already determines it; name a folder"),
+        ("web", "ssog", "`format` is that of a file for each; leave it out, and name web.ssog."),
+        ("web", "lod-meta.json", "for each; leave it out, and name web/lod-meta.json."),
+        ("a/b.json", None, f"a/b.json: {KINDS} a/b/lod-meta.json, or a folder."),
+        ("a/meta.json", None, f"a/meta.json: {KINDS} a/lod-meta.json, or a folder."),
+        ("a/b.PNG", None, "a/b.PNG names a picture; name a folder, as in a/b/."),
+        ("a/b.spz", None, f'one .spz file, {SEVERAL}, and give `format="spz"`.'),
+        ("a/b.ksplat", None, f"one .ksplat file, {SEVERAL}."),
+        ("web", "ksplat", "does not write a format 'ksplat'"),
+    ],
+)
+def test_names_of_outputs_that_are_misunderstood_are_refused(name, suffix, message):
+    with pytest.raises(OptionError) as caught:
+        output_of(Path(name), suffix)
+    assert message in str(caught.value).replace(os.sep, "/")
+
+
+def test_chunks_have_the_usual_sizes_or_a_quarter_of_the_largest_as_the_least():
+    for chunk, sizes in ((None, (32768, 8192)), (10**6, (10**6, 8192)), (1000, (1000, 250))):
+        for name in ("streamed sog", "streamed sog archive", "3d tiles"):
+            layout = block_layout_of(name, chunk, plain=False)
+            assert (layout.most, layout.least) == sizes
+            assert isinstance(layout, Tiles) == (name == "3d tiles")
+    assert [block_layout_of("3d tiles", None, plain=each).packed for each in (True, False)] == [
+        False, True,
+    ]  # fmt: skip
+    assert block_layout_of("spark tree", None, plain=False) == Linked()
+    assert block_layout_of("files", None, plain=False) is None
+    assert block_layout_of("streamed sog", 2**31 - 1, plain=False).most == 2**31 - 1
+
+
+@pytest.mark.parametrize(
+    ("layout", "options", "message"),
+    [
+        (
+            "other",
+            {},
+            'There is no layout "other"; choose from "files", "streamed sog", "3d tiles"',
+        ),
+        ("files", {"chunk": 5}, "levels in separate files are not divided; leave it out"),
+        ("files", {"chunk_min": 5}, "levels in separate files are not divided; leave it out"),
+        ("spark tree", {"chunk": 5}, "cannot be given for a .rad file"),
+        ("spark tree", {"chunk_min": 5}, "cannot be given for a .rad file"),
+        ("streamed sog", {"plain": True}, "Plain contents are possible only in 3D Tiles"),
+        ("files", {"place": np.eye(4)}, "A place on Earth is possible only in 3D Tiles"),
+        ("3d tiles", {"chunk": 2**31}, "not 2147483648, and at most 2,147,483,647."),
+        ("3d tiles", {"chunk": 9, "chunk_min": 2.5}, "must be a whole number of splats, not 2.5,"),
+    ],
+)
+def test_options_that_a_layout_lacks_are_refused(layout, options, message):
+    with pytest.raises(OptionError, match=re.escape(message)):
+        block_layout_of(layout, **{"chunk": None, "plain": False} | options)
 
 
 def test_levels_of_a_real_scene_have_the_requested_counts(tmp_path):
