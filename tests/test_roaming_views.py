@@ -15,7 +15,7 @@ from nanogs.splats import concatenate
 from nanogs.views import roam
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.cameras import cameras_for
-from nanogs.views.free_space import FreeSpace
+from nanogs.views.free_space import FreeSpace, middle
 from nanogs.views.roam import roaming_cameras
 from test_views import SCENE, ball, cloud, product, room
 
@@ -223,6 +223,45 @@ def test_a_position_is_free_if_a_free_one_sees_it_and_no_splat_covers_it(monkeyp
     assert is_free(between, (0.0, 0.2, -0.5))
     assert not is_free(wall(1))
     assert not is_free(concatenate([wall(1), cloud(np.zeros((1, 3)), 0.3)]), (0.5, 0.0, 0.5))
+
+
+def one_splat(place, scales, alpha):
+    """A single splat along the axes, with alpha at its centre."""
+    splat = cloud(np.array([place]), 1.0)
+    logit = np.full_like(splat.opacity_logits, np.log(alpha / (1 - alpha)))
+    sizes = np.log(np.array([scales], np.float32))
+    return replace(splat, opacity_logits=logit, log_scales=sizes)
+
+
+@pytest.mark.parametrize(("place", "inside"), [(0.9, True), (1.05, False)])
+@pytest.mark.parametrize("scales", [(1.0, 1.0, 1.0), (1.0, 0.1, 0.1)])
+def test_a_position_is_inside_a_splat_where_its_alpha_is_a_half(place, inside, scales):
+    splat = one_splat((place, 0.0, 0.0), scales, 0.8)  # half at 0.97
+    doubled = one_splat((2 * place, 0.0, 0.0), np.array(scales) * 2, 0.8)
+    for each in (splat, doubled):
+        assert is_free(each, (0.0, 0.0, 0.0)) is not inside
+
+
+@pytest.mark.parametrize(("alpha", "free"), [(0.4, True), (0.6, False)])
+def test_positions_see_each_other_through_what_lets_half_of_the_light_pass(alpha, free):
+    pane = one_splat((0.0, 0.0, -1.0), (50.0, 50.0, 0.01), alpha)
+    assert is_free(pane, (0.0, 0.0, -2.0)) is free
+    assert is_free(pane, (0.0, 0.0, 1.0)), "at the target itself, with nothing between"
+
+
+def test_a_position_is_tested_from_the_three_in_the_most_similar_direction():
+    seen, hidden = (0.5, 0.0, 0.5), [(0.0, 0.0, -distance) for distance in (2.0, 3.0, 4.0)]
+    assert is_free(wall(-1), *hidden[:2], seen)
+    assert not is_free(wall(-1), *hidden, seen)
+
+
+def test_the_middle_of_a_picture_is_its_centre_or_all_of_a_small_one():
+    for shape in ((16, 16), (16, 4), (2, 3)):
+        values = np.arange(shape[0] * shape[1], dtype=np.float32).reshape(*shape, 1)
+        assert middle(values).tolist() == [values.mean()]
+    corners = np.ones((16, 16, 1), np.float32)
+    corners[6:10, 6:10] = 0
+    assert middle(corners).tolist() == [0]
 
 
 @pytest.mark.filterwarnings("error")
