@@ -108,6 +108,13 @@ def test_the_field_of_view_is_that_along_the_longer_side(kind, size):
     assert camera.fx == camera.fy == pytest.approx(120 / np.tan(np.radians(30)))
 
 
+@pytest.mark.parametrize(("kind", "usual"), [("orbit", 50), ("inside", 75)])
+def test_the_field_of_view_is_the_usual_one_of_its_kind_or_from_1_to_170(kind, usual):
+    for fov, degrees in ((None, usual), (1, 1), (170, 170)):
+        [camera] = automatic_cameras(SCENE, 1, kind=kind, fov=fov)
+        assert np.degrees(2 * np.arctan(camera.width / 2 / camera.fx)) == pytest.approx(degrees)
+
+
 def test_the_ground_around_an_object_is_seen_and_hardly_from_below():
     rng = np.random.default_rng(0)
     ground = rng.uniform(-1, 1, (6_000, 3)) * (3.0, 0.01, 3.0)
