@@ -16,6 +16,7 @@ from starlette.responses import PlainTextResponse
 import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
+from nanogs.studio import server
 from nanogs.studio.listing import Folder
 from nanogs.studio.pages import KEPT, MOST, Pages
 from nanogs.studio.safety import Guard
@@ -75,6 +76,8 @@ def test_a_scene_whose_name_is_not_utf8_has_a_page_and_a_command(tmp_path):
 def test_the_studio_listens_only_on_this_machine(studio):
     assert urlsplit(studio.url).hostname == "127.0.0.1"
     assert len(urlsplit(studio.url).path) > 30
+    with server._listening(0) as listening:
+        assert listening.getsockname()[0] == "127.0.0.1"
 
 
 @pytest.mark.parametrize(
@@ -90,6 +93,16 @@ def test_other_paths_are_not_found(studio, path):
     status, headers, _ = studio.request("GET", path.format(token=token), whole=True)
     assert status == 404
     assert headers["x-frame-options"] == "DENY"
+
+
+@pytest.mark.parametrize(
+    ("name", "status"),
+    [("a.js", 200), ("a.woff2", 200), ("a.py", 404), ("a", 404), (".a.js", 404), ("../a.json", 404),
+     ("a/b.js", 404), ("..\\a.json", 404), ("a\\..\\..\\b.png", 404)],
+)  # fmt: skip
+def test_only_files_of_one_folder_with_known_suffixes_are_given(monkeypatch, name, status):
+    monkeypatch.setattr(server, "_package", lambda _package, _path: b"bytes")
+    assert server._file("nanogs.studio", f"static/{name}", name).status_code == status
 
 
 def test_what_is_no_request_is_refused_and_not_reported(tmp_path):
@@ -318,6 +331,8 @@ def test_saving_over_the_scene_or_to_invalid_paths_is_refused(studio):
         ("sub/../scene.ply", True, "out of the folder"),
         ("note.txt", True, "is not the name of a .ply"),
         ("nowhere/x.ply", False, "does not exist"),
+        ("", False, "Name a file to save to"),
+        ("x.ply", "yes", "overwrite is true or false"),
     ):
         body = ASK | {"path": path, "overwrite": overwrite}
         status, _, answer = studio.request("POST", "save", body)

@@ -336,7 +336,9 @@ def _file(package: str, path: str, name: str) -> "Response":
     from starlette.responses import PlainTextResponse, Response
 
     kind = _TYPES.get(Path(name).suffix)
-    data = None if kind is None or "/" in name or name.startswith(".") else _package(package, path)
+    # On Windows a backslash too leads to another folder.
+    leaves = name.startswith(".") or "/" in name or "\\" in name
+    data = None if kind is None or leaves else _package(package, path)
     if data is None:
         return PlainTextResponse("There is nothing here.", 404)
     return Response(data, media_type=kind)
