@@ -19,7 +19,7 @@ from nanogs.pipeline.search.file_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.search.file_size import TOLERANCE as CLOSE
 from nanogs.pipeline.search.packer import ChosenPacking, PackingForPsnr
 from nanogs.pipeline.search.packing import Packing
-from nanogs.pipeline.search.psnr import MOST_PROBES, NEAR_DB, STEPS, reach_psnr, search_count
+from nanogs.pipeline.search.psnr import BELOW_STEP, MOST_PROBES, NEAR_DB, reach_psnr, search_count
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport, StopReason
 from nanogs.scoring.comparison import NamedModel, compare_models
@@ -307,7 +307,7 @@ def test_a_jump_of_the_psnr_is_located_to_a_hundredth(jump, guess):
     assert found.stop is StopReason.STEP
     assert jump <= found.count <= max(jump, 1.01 * jump)
     assert [probe.count for probe in found.probes] == counts
-    assert len(set(counts)) == len(counts) <= MOST_PROBES + STEPS
+    assert len(set(counts)) == len(counts) <= MOST_PROBES + BELOW_STEP
 
 
 def test_the_search_continues_below_a_jump_of_the_psnr():
@@ -330,7 +330,7 @@ def test_the_smallest_count_below_a_jump_that_reaches_the_psnr_is_found():
 
     found = search_count(psnr_of, 30.0, 1, 10_000, 990)
     assert found.stop is StopReason.STEP
-    assert [probe.psnr for probe in found.probes[-STEPS:]] == [20, 20, 35, 35, 20, 20]
+    assert [probe.psnr for probe in found.probes[-BELOW_STEP:]] == [20, 20, 35, 35, 20, 20]
     assert found.count == found.probes[-3].count
 
 
@@ -340,7 +340,7 @@ def test_a_range_up_to_an_infinite_psnr_is_halved():
 
     found = search_count(psnr_of, 30.0, 1, 100_000, 20)
     assert 5000 <= found.count <= 5050
-    assert len(found.probes) <= 12 + STEPS
+    assert len(found.probes) <= 12 + BELOW_STEP
 
 
 @pytest.mark.parametrize("seed", range(40))
