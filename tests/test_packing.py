@@ -35,6 +35,7 @@ from nanogs.pipeline.search.measured_files import LEAST_SLOPE, MOST_SLOPE, slope
 from nanogs.pipeline.search.packer import BLIND, ChosenPacking
 from nanogs.pipeline.search.packing import (
     ERROR_LEFT,
+    FINE,
     FIRST_PER_ENTRY,
     LARGER_PALETTES,
     SMALLER_PALETTES,
@@ -362,6 +363,19 @@ def test_a_result_with_a_palette_is_made_again_only_if_it_leaves_no_room(guessed
     first = [packing for packing, count in model.files if count == made[0]]
     assert [dict(each.bits)["bits"] for each in first[:3]] == [6, 5, 7]
     assert first[3].per_entry == SMALLER_PALETTES[0]
+
+
+@pytest.mark.parametrize(
+    ("degree", "unpacked", "by_psnr", "coarseness"),
+    [(0, 40.0, False, FINE), (0, 36.0, False, 1), (3, 40.0, False, 1), (0, 40.0, True, 1)],
+)
+def test_values_are_finer_where_packing_makes_nearly_all_of_the_error(
+    degree, unpacked, by_psnr, coarseness
+):
+    """At 40 dB the model has a tenth of the error of its file at 30 dB, at 36 dB a quarter."""
+    report = PackingReport(degree, {}, 100, 1000, 30.0, 0.9, unpacked, 0.9)
+    choices = Choices([degree], palettes=False, by_psnr=by_psnr)
+    assert choices.coarseness(report) == coarseness
 
 
 @pytest.mark.parametrize(("fitting", "tried"), [(920, True), (919, False)])

@@ -141,11 +141,14 @@ class Choices:
         """Return how coarsely to round by what shows, over the usual coarseness.
 
         If nearly all of the error is that of packing, more splats hardly diminish it, so the bytes
-        are better spent on finer values.
+        are better spent on finer values. With harmonics much of it is theirs, and they are not
+        rounded by what shows.
         """
+        if self.by_psnr or found.sh_degree:
+            return 1.0
         packed = self._loss(found.psnr, found.ssim)
         unpacked = self._loss(found.unpacked_psnr, found.unpacked_ssim)
-        return FINE if not self.by_psnr and unpacked < FEW_SPLATS_MISSED * packed else 1.0
+        return FINE if unpacked < FEW_SPLATS_MISSED * packed else 1.0
 
     def _loss(self, psnr: float, ssim: float) -> float:
         return math.pow(10, -(psnr if self.by_psnr else quality(psnr, ssim)) / 10)
