@@ -172,7 +172,7 @@ def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
             splats, layout, chosen, shares, request.max_memory, request.block, request.block_layout,
             beside=pictures_bytes(PIXELS**2, VIEWS) if seen else 0,
             limit=request.limit, searched=sought is not None,
-            shown=sought is not None or rounds_for_file(chosen, request.written_format),
+            shown=sought is not None or _may_round(request),
         )  # fmt: skip
 
     plan = planned(sum(each.splats for each in inputs))
@@ -266,13 +266,19 @@ def _rounds(request: "Request", layout: Layout, splats: int) -> bool:
 
     Like `_held_whole`, a job that is resumed does as it began.
     """
-    if request.block_layout or not rounds_for_file(request.parameters, request.written_format):
+    if not _may_round(request):
         return False
     begun = read_manifest(request.folder) if request.resume else None
     if begun is not None:
         return bool(begun[0].get("rounded"))
     most = _most_held(request, layout)
     return most is None or request.counts(splats, layout.reduced(request.sh_degree))[0] <= most
+
+
+def _may_round(request: "Request") -> bool:
+    return request.block_layout is None and rounds_for_file(
+        request.parameters, request.written_format
+    )
 
 
 def _held_whole(request: "Request", layout: Layout) -> int | None:
