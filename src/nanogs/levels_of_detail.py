@@ -344,7 +344,7 @@ def _stages(request: Request, splats: int) -> list[Stage]:
     """
     measure = [measure_stage(splats)] if request.is_compared else []
     counts = [target_count(splats, ratio, None) for ratio in request.ratios]
-    stages = levels_stages(request.parameters, splats, counts, request.level_format)
+    stages = levels_stages(request.parameters, splats, counts, request.result_format)
     suffix = request.file.suffix
     writes = [Stage("write", write_weight(suffix, count)) for count in counts]
     first = len(stages) - len(counts)

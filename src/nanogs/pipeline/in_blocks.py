@@ -120,13 +120,19 @@ def with_limit(request: "Request", *, elsewhere: bool) -> "Request":
     """
     if request.block or request.max_memory is not None:
         return request
-    begun = read_manifest(request.folder) if request.resume else None
+    begun = _begun_settings(request)
     if begun is not None:
-        return replace(request, block=int(begun[0]["block"]))
+        return replace(request, block=int(begun["block"]))
     if elsewhere:
         return replace(request, max_memory=DEFAULT_MEMORY, limit=MemoryLimit.DEFAULT)
     memory = process_memory(allowed_memory(None))
     return replace(request, max_memory=memory, limit=MemoryLimit.FREE)
+
+
+def _begun_settings(request: "Request") -> dict[str, Any] | None:
+    """Return the settings of the job that is resumed; None for a new one."""
+    begun = read_manifest(request.folder) if request.resume else None
+    return None if begun is None else begun[0]
 
 
 def block_parameters(preset: str, overrides: dict[str, Any]) -> ForestParameters:
@@ -172,7 +178,7 @@ def plan_job(request: "Request") -> tuple[Settings, BlockPlan]:
             splats, layout, chosen, shares, request.max_memory, request.block, request.block_layout,
             beside=pictures_bytes(PIXELS**2, VIEWS) if seen else 0,
             limit=request.limit, searched=sought is not None,
-            shown=sought is not None or _may_round(request),
+            shown=sought is not None or rounds_for_file(request.parameters, request.result_format),
         )  # fmt: skip
 
     plan = planned(sum(each.splats for each in inputs))
@@ -266,27 +272,21 @@ def _rounds(request: "Request", layout: Layout, splats: int) -> bool:
 
     Like `_held_whole`, a job that is resumed does as it began.
     """
-    if not _may_round(request):
+    if not rounds_for_file(request.parameters, request.result_format):
         return False
-    begun = read_manifest(request.folder) if request.resume else None
+    begun = _begun_settings(request)
     if begun is not None:
-        return bool(begun[0].get("rounded"))
+        return bool(begun.get("rounded"))
     most = _most_held(request, layout)
     return most is None or request.counts(splats, layout.reduced(request.sh_degree))[0] <= most
 
 
-def _may_round(request: "Request") -> bool:
-    return request.block_layout is None and rounds_for_file(
-        request.parameters, request.written_format
-    )
-
-
 def _held_whole(request: "Request", layout: Layout) -> int | None:
     """Return `SearchTarget.most`; a job that is resumed keeps its own, to pack as it began."""
-    begun = read_manifest(request.folder) if request.resume else None
+    begun = _begun_settings(request)
     if begun is None:
         return _most_held(request, layout)
-    most: int | None = (begun[0].get("search") or {}).get("most")
+    most: int | None = (begun.get("search") or {}).get("most")
     return most
 
 

@@ -148,7 +148,7 @@ def _deliver(
     from nanogs.pipeline.rounded import rounded_for_file
     from nanogs.threads import use_threads  # imported here because it imports Numba
 
-    device, threads, known = request.device, request.threads, request.level_format
+    device, threads, known = request.device, request.threads, request.result_format
     counts = [count for _, count in wanted]
     chosen, splats = checked.parameters, len(checked.rows)
     deliver: Deliver | None = None

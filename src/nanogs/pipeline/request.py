@@ -193,8 +193,8 @@ class Request:
         return Path(f"level_0{suffix}") if self.ratios else self.output
 
     @property
-    def level_format(self) -> Format | None:
-        """The format of the file that each level is; None if files hold parts of levels."""
+    def result_format(self) -> Format | None:
+        """The format of the file that each result is; None if files hold parts of levels."""
         return None if self.block_layout else self.written_format
 
     @property

@@ -430,7 +430,7 @@ def quantisation(splats: Splats, bits: int, version: int, spare: int | None) -> 
 
 def _on_grid(means: F32, bits: int) -> F32:
     """Return centres, (N, 3), with this number of fraction bits."""
-    return np.ldexp(np.rint(np.ldexp(means.astype(np.float64), bits)), -bits).astype(np.float32)
+    return np.ldexp(_fixed_point(means, bits), -bits).astype(np.float32)
 
 
 def _codes(step: int, start: int = 0) -> I64:
@@ -501,9 +501,15 @@ def _compressed(column: Iterable[bytes]) -> bytes:
     return zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_checksum=True).compress(plain)
 
 
+def _fixed_point(means: F32 | F64, bits: int) -> F64:
+    """Return centres as whole numbers, with this number of fraction bits."""
+    fixed: F64 = np.rint(np.ldexp(means.astype(np.float64), bits))
+    return fixed
+
+
 def _positions(means: F32 | F64, bits: int) -> U8:
     """Encode (R, 3) centres as (R, 9) bytes: three little-endian 24-bit integers each."""
-    fixed = np.rint(np.ldexp(means.astype(np.float64), bits)).astype("<i4")
+    fixed = _fixed_point(means, bits).astype("<i4")
     wide: U8 = fixed[:, :, None].view(np.uint8)
     return wide[:, :, :3]
 

@@ -136,7 +136,7 @@ def count_stages(
         known: Format of its file, for which it may be rounded; None if it has none of its own.
     """
     stages = delivery_stages(parameters, splats, count)
-    if known is not None and rounds_for_file(parameters, known):
+    if rounds_for_file(parameters, known):
         stages.append(Stage("encode", 4 * count / 1e6))
     return stages
 

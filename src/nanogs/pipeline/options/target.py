@@ -236,7 +236,12 @@ def count_for_size(available: int, size: int, file_bytes: Callable[[int], int]) 
     return fits
 
 
-def rounds_for_file(chosen: Parameters, known: Format) -> bool:
-    """Return whether results of known counts are rounded so that files of the format pack well."""
+def rounds_for_file(chosen: Parameters, known: Format | None) -> bool:
+    """Return whether results of known counts are rounded so that their files pack well.
+
+    Args:
+        chosen: Parameters of the method.
+        known: Format of the files; None if each holds a part of a result.
+    """
     fitted = isinstance(chosen, ForestParameters) and chosen.steps >= ROUNDED_STEPS
-    return fitted and known.quantisation is not None
+    return fitted and known is not None and known.quantisation is not None

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Generic
 
 from nanogs.io.limits import degree_left_out
@@ -100,22 +100,21 @@ class Packer(Generic[T]):
 
     def pack(self) -> ChosenPacking:
         """Choose the packing."""
-        degree = self.sample.sh_degree
-        choices = self.request.choices(degree)
+        choices = self.choices
         packed = partial(
             ChosenPacking,
             highest=choices.degrees[-1],
-            wanted=self.request.wanted(degree),
+            wanted=self.request.wanted(self.sample.sh_degree),
             suffix=self.request.known.suffix,
         )
         self.progress.begin("guess")
         looks = self.results.looks and choices.any
         if not looks or not self.files.shows():
-            packing = self._unseen(choices)
+            packing = self._unseen()
             return packed(packing, self.guess(packing), (), blind=looks)
         self.progress.begin("pack")
         packing, count, tried = choose_packing(
-            choices, self._size, self._slope(choices), self.guess, self._make_and_measure,
+            choices, self._size, self._slope(), self.guess, self._make_and_measure,
             self.results.available,
         )  # fmt: skip
         if self.rounds:
@@ -123,6 +122,11 @@ class Packer(Generic[T]):
             ratio = self._usual_ratio / (whole * self.rounding_ratio)
             count = self.deliverable(round(count * ratio))
         return packed(packing, count, tried)
+
+    @cached_property
+    def choices(self) -> Choices:
+        """The degrees, palettes and bits that may be chosen for the model."""
+        return self.request.choices(self.sample.sh_degree)
 
     @property
     def rounds(self) -> bool:
@@ -141,14 +145,14 @@ class Packer(Generic[T]):
         """Bytes that files which are compared may have: their values are the nearest."""
         return int(self.request.size / self._usual_ratio)
 
-    def _unseen(self, choices: Choices) -> Packing:
+    def _unseen(self) -> Packing:
         """Return the packing if nothing is rendered.
 
         If a PSNR is to be reached, that is all harmonics and the format's own defaults.
         """
-        if choices.by_psnr:
-            return Packing(choices.degrees[-1])
-        return unseen_packing(choices, self.guess, self.results.available)
+        if self.choices.by_psnr:
+            return Packing(self.choices.degrees[-1])
+        return unseen_packing(self.choices, self.guess, self.results.available)
 
     def guess(self, packing: Packing) -> int:
         """Estimate how many of the model's own splats fill the size with a packing."""
@@ -176,13 +180,13 @@ class Packer(Generic[T]):
         """Return the deliverable count nearest to a count."""
         return min(max(count, self.results.fewest), self.results.available)
 
-    def _slope(self, choices: Choices) -> float:
+    def _slope(self) -> float:
         """Measure how much quality more splats bring, from two plain cuts.
 
         They are packed without a choice of palette, whose loss would blur the difference.
         """
-        packing, plain = replace(choices.first, per_entry=None), self.results.plain(rounds=0)
-        count = self.guess(choices.first)
+        first, plain = self.choices.first, self.results.plain(rounds=0)
+        packing, count = replace(first, per_entry=None), self.guess(first)
 
         def made(share: float) -> PackingReport:
             some = self.deliverable(round(share * count))
@@ -192,7 +196,7 @@ class Packer(Generic[T]):
             )
             return PackingReport(**found)
 
-        return slope_of(choices, *map(made, CUTS))
+        return slope_of(self.choices, *map(made, CUTS))
 
     def _make_and_measure(
         self, packing: Packing, count: int, measure_files: MeasureFiles
@@ -203,7 +207,6 @@ class Packer(Generic[T]):
         brief = some.brief()
         stages = [*brief.stages(count), Stage("encode", 1.0)]
         part = self.progress.within(self.tried, PACKINGS, stages)
-        choices = self.request.choices(self.sample.sh_degree)
         self.tried += 1
 
         def measure(result: T) -> dict[str, Any]:
@@ -211,7 +214,7 @@ class Packer(Generic[T]):
             found = measure_files(partial(self._measure, result))
             ratio = 1.0
             if self.rounds:
-                coarseness, options = choices.coarseness(found[0]), found[0].options
+                coarseness, options = self.choices.coarseness(found[0]), found[0].options
                 _, left = self.files.packed(result, options, coarseness)
                 ratio = left / found[0].bytes
             return {"files": [asdict(each) for each in found], "rounded": ratio}

@@ -133,8 +133,7 @@ class Choices:
 
         A whole fit diminishes the error of the result, but not what packing adds.
         """
-        packed = self._loss(found.psnr, found.ssim)
-        unpacked = min(self._loss(found.unpacked_psnr, found.unpacked_ssim), packed)
+        packed, unpacked = self._losses(found)
         return packed - (1 - ERROR_LEFT) * unpacked
 
     def coarseness(self, found: PackingReport) -> float:
@@ -146,9 +145,13 @@ class Choices:
         """
         if self.by_psnr or found.sh_degree:
             return 1.0
-        packed = self._loss(found.psnr, found.ssim)
-        unpacked = self._loss(found.unpacked_psnr, found.unpacked_ssim)
+        packed, unpacked = self._losses(found)
         return FINE if unpacked < FEW_SPLATS_MISSED * packed else 1.0
+
+    def _losses(self, found: PackingReport) -> tuple[float, float]:
+        """Return the errors of a file and, at most as large, of the result before it is packed."""
+        packed = self._loss(found.psnr, found.ssim)
+        return packed, min(self._loss(found.unpacked_psnr, found.unpacked_ssim), packed)
 
     def _loss(self, psnr: float, ssim: float) -> float:
         return math.pow(10, -(psnr if self.by_psnr else quality(psnr, ssim)) / 10)
