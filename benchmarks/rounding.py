@@ -31,14 +31,13 @@ def make_cloud(count: int = 20_000) -> nanogs.Splats:
     """Make a cloud of splats, denser in the middle, whose colours follow their place."""
     rng = np.random.default_rng(1)
     means = rng.normal(0, 0.4, (count, 3))
-    values = {
-        "means": means,
-        "log_scales": rng.normal(-2, 0.2, (count, 3)),
-        "quats": rng.normal(size=(count, 4)),
-        "opacity_logits": rng.normal(2, 0.5, count),
-        "sh": 1.2 * np.sin(3 * means)[:, None],
-    }
-    return nanogs.Splats(**{name: value.astype(np.float32) for name, value in values.items()})
+    return nanogs.Splats(
+        means=means.astype(np.float32),
+        log_scales=rng.normal(-2, 0.2, (count, 3)).astype(np.float32),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        opacity_logits=rng.normal(2, 0.5, count).astype(np.float32),
+        sh=(1.2 * np.sin(3 * means)[:, None]).astype(np.float32),
+    )
 
 
 def main() -> None:
