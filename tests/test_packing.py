@@ -31,7 +31,12 @@ from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request as FileRequest
 from nanogs.pipeline.search.choose_packing import choose_packing
 from nanogs.pipeline.search.files import HeldFiles
-from nanogs.pipeline.search.measured_files import LEAST_SLOPE, MOST_SLOPE, slope_of
+from nanogs.pipeline.search.measured_files import (
+    LEAST_SLOPE,
+    MOST_SLOPE,
+    MeasuredFiles,
+    slope_of,
+)
 from nanogs.pipeline.search.packer import BLIND, ChosenPacking
 from nanogs.pipeline.search.packing import (
     ERROR_LEFT,
@@ -100,6 +105,13 @@ class SyntheticModel:
         return tried(packing.sh_degree, packing.options(count), count, size, psnr)
 
 
+def choose(model, choices, slope=5.0, *, size=SIZE, available=10**9):
+    """Return the packing that is chosen for a synthetic model, its count, and what was tried."""
+    files = MeasuredFiles(choices, size, slope, available)
+    packing, count = choose_packing(files, model.guess, model.attempt)
+    return packing, count, files.reports
+
+
 def test_a_whole_fit_diminishes_only_the_error_that_packing_did_not_add():
     choices = Choices([0], palettes=False, by_psnr=True)
     assert choices.quality(tried(0, {}, 9, 9, 30.0)) == pytest.approx(30)
@@ -116,7 +128,7 @@ def test_a_whole_fit_diminishes_only_the_error_that_packing_did_not_add():
 def test_the_best_packing_is_found(degree, share, bits, palettes, fine):
     model = SyntheticModel(degree, share, bits)
     choices = Choices(range(4), palettes, BITS if fine else {})
-    found, count, probes = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    found, count, probes = choose(model, choices)
     assert found.sh_degree == degree
     assert dict(found.bits).get("bits", 7) == (bits if fine else 7)
     assert found.per_entry == (None if not palettes else share if degree else found.per_entry)
@@ -199,8 +211,7 @@ class AddedLosses(SyntheticModel):
 )  # fmt: skip
 def test_the_best_packing_is_found_where_losses_add_up(model, degrees, own, slope, expected):
     choices = Choices(degrees, palettes=True, bits=BITS, own_per_entry=own)
-    given = model.guess, model.attempt, model.available
-    found, _, _ = choose_packing(choices, SIZE, slope, *given)
+    found, _, _ = choose(model, choices, slope, available=model.available)
     assert (found.sh_degree, found.per_entry, dict(found.bits)["bits"]) == expected
 
 
@@ -218,8 +229,7 @@ def test_room_that_all_splats_cannot_fill_is_used_for_bits():
 
     model = NearlyWhole(3, 1.5, 7)
     choices = Choices([3], palettes=True, bits=BITS, own_per_entry=1.0)
-    given = model.guess, model.attempt, available
-    found, count, _ = choose_packing(choices, SIZE, 30.0, *given)
+    found, count, _ = choose(model, choices, 30.0, available=available)
     assert (found.per_entry, found.bits, count) == (1.5, (("bits", 7),), available)
 
 
@@ -243,8 +253,7 @@ def test_a_larger_palette_is_not_tried_with_bits_that_only_a_small_one_had_room_
     bits = {"sh_bits": PrecisionOption(5, range(2, 9), 5, of_harmonics=True)}
     model = Steep(3, 1.5, 5)
     choices = Choices([3], palettes=True, bits=bits, own_per_entry=1.0)
-    given = model.guess, model.attempt, available
-    found, count, _ = choose_packing(choices, SIZE, 12.0, *given)
+    found, count, _ = choose(model, choices, 12.0, available=available)
     assert (found.per_entry, found.bits) == (1.5, (("sh_bits", 5),))
     assert count > 0.95 * available
 
@@ -303,7 +312,7 @@ def test_the_smallest_packing_has_the_fewest_bits_entries_and_harmonics():
 
 def test_a_much_worse_sh_degree_is_measured_but_not_attempted():
     model = SyntheticModel(3, 8.0, 7)
-    choose_packing(Choices(range(4), palettes=True), SIZE, 5.0, model.guess, model.attempt, 10**9)
+    choose(model, Choices(range(4), palettes=True))
     assert {packing.sh_degree for packing, _ in model.made} == {3}
     assert {packing.sh_degree for packing, _ in model.files} == {3, 2}
 
@@ -319,7 +328,7 @@ def test_a_much_worse_small_palette_is_measured_but_not_attempted(psnr_loss, att
 
     model = Shining(3, 1.5, 7)
     choices = Choices([3], palettes=True, bits=BITS)
-    found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    found, _, _ = choose(model, choices)
     assert found.per_entry == 1.5
     assert (SMALLER_PALETTES[0] in {packing.per_entry for packing, _ in model.made}) == attempted
     assert SMALLER_PALETTES[0] in {packing.per_entry for packing, _ in model.files}
@@ -330,7 +339,7 @@ def test_a_model_that_fits_whole_gets_the_best_sh_degree(own):
     """Without a choice of palette, as if it is given, none is tried."""
     model = SyntheticModel(3, 8.0, 7)
     choices = Choices(range(4), palettes=False, own_per_entry=own)
-    found, count, _ = choose_packing(choices, 10**9, 5.0, model.guess, model.attempt, 1000)
+    found, count, _ = choose(model, choices, size=10**9, available=1000)
     assert (found.sh_degree, found.per_entry, count) == (3, None, 1000)
     assert {packing.per_entry for packing, _ in model.made} == {None}
 
@@ -340,7 +349,7 @@ def test_a_packing_without_bits_to_choose_is_tried_once(palettes):
     """Its file is a fifth smaller than asked; only with a palette is that too far off."""
     model = SyntheticModel(3, 8.0, 7)
     choices = Choices([3], palettes)
-    found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    found, _, _ = choose(model, choices)
     made = [count for packing, count in model.made if packing.per_entry == found.per_entry]
     assert len(made) == 1 + palettes
 
@@ -355,7 +364,7 @@ def test_a_result_with_a_palette_is_made_again_only_if_it_leaves_no_room(guessed
 
     model = Near(3, FIRST_PER_ENTRY, 6)
     choices = Choices([3], palettes=True, bits=BITS)
-    found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    found, _, _ = choose(model, choices)
     assert (found.per_entry, found.bits) == (FIRST_PER_ENTRY, (("bits", 6),))
     made = [count for packing, count in model.made if packing.per_entry == FIRST_PER_ENTRY]
     assert len(made) == results
@@ -394,7 +403,7 @@ def test_a_model_that_nearly_fits_is_tried_without_a_palette(fitting, tried):
 
     model = Distinct(2, 8.0, 8)
     choices = Choices([2], palettes=True, bits=BITS)
-    found, count, _ = choose_packing(choices, 10**6, 5.0, model.guess, model.attempt, 1000)
+    found, count, _ = choose(model, choices, size=10**6, available=1000)
     assert count == 1000
     assert (found.per_entry is None) == tried
     assert (None in {packing.per_entry for packing, _ in model.made}) == tried
@@ -427,9 +436,7 @@ def test_a_smaller_palette_is_not_tried_with_fewer_bits_of_harmonics():
 
     model = Coarse(3, SMALLER_PALETTES[1], 6)
     bits = BITS | {"sh_bits": PrecisionOption(5, range(2, 9), 5, of_harmonics=True)}
-    found, _, _ = choose_packing(
-        Choices([3], palettes=True, bits=bits), SIZE, 5.0, model.guess, model.attempt, 10**9
-    )
+    found, _, _ = choose(model, Choices([3], palettes=True, bits=bits))
     tried = {(packing.per_entry, dict(packing.bits)["sh_bits"]) for packing, _ in model.made}
     assert (FIRST_PER_ENTRY, 5) in tried
     assert {bits for share, bits in tried if share > FIRST_PER_ENTRY} == {5}
@@ -449,7 +456,7 @@ def test_a_larger_palette_may_need_finer_bits():
 
     model = Hiding(0, 1.5, 7)
     choices = Choices([1], palettes=True, bits=BITS)
-    found, _, _ = choose_packing(choices, SIZE, 6.0, model.guess, model.attempt, 10**9)
+    found, _, _ = choose(model, choices, 6.0)
     first = model.files[: len([1 for each in model.files if each[0].per_entry == 8])]
     assert {dict(packing.bits).get("bits") for packing, _ in first} >= {4, 5, 6}
     assert (found.per_entry, dict(found.bits)) == (1.5, {"bits": 7})
@@ -459,7 +466,7 @@ def test_packings_after_the_first_are_made_at_counts_that_about_fill_the_size():
     """The guess is a fifth too low, as the first result shows."""
     model = SyntheticModel(1, 1.5, 7)
     choices = Choices(range(4), palettes=True)
-    choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    choose(model, choices)
     first, later = model.made[0][0], [made for made in model.made if made[0] != model.made[0][0]]
     assert model.bytes_of(first, model.made[0][1]) == pytest.approx(0.8 * SIZE, rel=0.01)
     assert len(later) == len({packing for packing, _ in later}) > 2
@@ -472,7 +479,7 @@ def test_bits_are_compared_at_the_requested_size():
     model = SyntheticModel(0, 8.0, 6)
     model.bit = 0.05
     choices = Choices([0], palettes=False, bits=BITS)
-    found, count, _ = choose_packing(choices, SIZE, 5.6, model.guess, model.attempt, 10**9)
+    found, count, _ = choose(model, choices, 5.6)
     assert dict(found.bits) == {"bits": 6}
     assert [dict(packing.bits).get("bits") for packing, _ in model.made] == [6, 4, 5, 6]
     assert model.bytes_of(found, count) == pytest.approx(SIZE, rel=0.01)
@@ -494,7 +501,7 @@ def test_more_bits_are_tried_although_fewer_splats_seem_to_lose_too_much():
     model = Near(0, 8.0, 7)
     model.bit = 0.6
     choices = Choices([0], palettes=False, bits=BITS)
-    found, _, _ = choose_packing(choices, SIZE, 15.0, model.guess, model.attempt, 10**9)
+    found, _, _ = choose(model, choices, 15.0)
     assert found.bits == (("bits", 7),)
 
 
@@ -512,7 +519,7 @@ def test_bits_of_which_no_count_fills_the_size_are_made_again_once():
 
     model = Jumping(0, 8.0, 6)
     choices = Choices([0], palettes=False, bits=BITS)
-    found, _, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    found, _, _ = choose(model, choices)
     assert found.bits == (("bits", 6),)
     made = [dict(packing.bits)["bits"] for packing, _ in model.made[1:]]
     assert len(made) == len({*made})
@@ -535,7 +542,7 @@ def test_the_gain_of_more_splats_is_measured_near_the_requested_size():
 
     model = Steep(0, 8.0, 5)
     choices = Choices([0], palettes=False, bits=BITS)
-    found, count, _ = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    found, count, _ = choose(model, choices)
     made = {dict(packing.bits)["bits"]: count for packing, count in model.made}
     assert [*made][:2] == [6, 8]
     assert dict(found.bits) == {"bits": 5}
@@ -563,7 +570,7 @@ def test_a_result_is_packed_with_the_options_that_were_measured(edge_count):
 
     model = Leaping(0, 8.0, 6)
     choices = Choices([0], palettes=False, bits=BITS)
-    found, count, probes = choose_packing(choices, SIZE, 5.0, model.guess, model.attempt, 10**9)
+    found, count, probes = choose(model, choices)
     derived = dict(found.derived_options)
     assert [*derived] == ["spare_bits"]
     assert any(found.options(count).items() <= probe.options.items() for probe in probes)

@@ -171,3 +171,39 @@ def test_the_first_count_allows_for_what_rounding_saves(share, unpacked, coarsen
     assert packed.packing.coarseness == coarseness
     _, taken = files.packed(packed.count, {}, coarseness)
     assert taken * WHOLE == pytest.approx(AIM * 10_000, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("bit_bytes", "psnrs", "last", "chosen"),
+    [
+        (4, {5: -5.0, 7: 0.6}, 7, 6),  # 7 bits look better than they are with fewer splats
+        (0.2, {4: -5.0}, 4, 5),  # one result is made, for 6 bits; nearly as many splats fit with 5
+    ],
+)
+def test_what_rounding_saves_is_that_of_the_bits_that_were_chosen(bit_bytes, psnrs, last, chosen):
+    class Compared(RoundedFiles):
+        def shows(self):
+            return True
+
+        def sample_bytes(self, some, options):
+            return 24 * len(some)  # so that the first result about fills the size with 6 bits
+
+        def nearest(self, result, options):
+            return round((20 + bit_bytes * (options["bits"] - 6)) * result)
+
+        def packed(self, result, options, coarseness):
+            share = 0.8 if options["bits"] == chosen else 0.5
+            return result, round(share * self.nearest(result, options))
+
+        def measure(self, result, sh_degree, options):
+            psnr = 30 + 5 * np.log(result / 500) + psnrs.get(options["bits"], 0.0)
+            size = self.nearest(result, options)
+            return PackingReport(sh_degree, options, result, size, psnr, 0.9, 60.0, 0.9)
+
+    files = Compared(lambda _: 0)
+    sample, request = random_splats(50, degree=0), SizeRequest(10_000, SPZ, {"spare_bits": 2})
+    packed = Packer(Results(), request, sample, files, Tracker(None, [])).pack()
+    assert packed.packings[-1].options["bits"] == last
+    assert packed.packing.bits == (("bits", chosen),)
+    _, taken = files.packed(packed.count, {"bits": chosen}, 1.0)
+    assert taken * WHOLE == pytest.approx(AIM * 10_000, rel=0.01)

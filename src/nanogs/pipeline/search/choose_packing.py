@@ -17,7 +17,6 @@ from nanogs.pipeline.search.packing import (
     OWN_HARMONICS_FIT,
     SMALLER_PALETTES,
     BitValues,
-    Choices,
     Packing,
 )
 from nanogs.report import PackingReport
@@ -40,31 +39,22 @@ MakeAndMeasure = Callable[[Packing, int, MeasureFiles], list[PackingReport]]
 
 
 def choose_packing(
-    choices: Choices,
-    size: int,
-    slope: float,
-    guess: Callable[[Packing], int],
-    make_and_measure: MakeAndMeasure,
-    available: int,
-) -> tuple[Packing, int, tuple[PackingReport, ...]]:
+    files: MeasuredFiles, guess: Callable[[Packing], int], make_and_measure: MakeAndMeasure
+) -> tuple[Packing, int]:
     """Search for the packing whose file of a given size looks best.
 
     Args:
-        choices: What may be chosen.
-        size: Bytes that the file may have.
-        slope: Quality gained by more splats, dB for e times the bytes.
+        files: The size, what may be chosen, and no file yet; gets those that are measured.
         guess: Estimates how many of the model's own splats fill the size with a packing.
         make_and_measure: Makes a result and measures files of it.
-        available: Splats of the whole model.
 
     Returns:
-        The packing, a count that about fills the size with it, and what was tried in order.
+        The packing, and a count that about fills the size with it.
     """
-    files = MeasuredFiles(choices, size, slope, available)
-    search = _Search(choices, files, guess, make_and_measure)
+    search = _Search(files, guess, make_and_measure)
     first = best = search.begin()
     if search.own_fit >= OWN_HARMONICS_FIT:
-        finest = choices.own_per_entry, *LARGER_PALETTES[::-1]
+        finest = files.choices.own_per_entry, *LARGER_PALETTES[::-1]
         best = search.climb(first, _with_palettes(first, finest))
     elif search.tries_smaller:
         best = search.climb(first, _with_palettes(first, SMALLER_PALETTES))
@@ -74,10 +64,8 @@ def choose_packing(
     if first.per_entry is not None:  # without palettes, `begin` has compared the bits
         best = search.compare_bits(best)
     count = files.filling_count(files.file(best))
-    chosen = replace(
-        files.with_derived_options(best), coarseness=choices.coarseness(files.file(best))
-    )
-    return chosen, count, tuple(files.reports)
+    coarseness = files.choices.coarseness(files.file(best))
+    return replace(files.with_derived_options(best), coarseness=coarseness), count
 
 
 def _with_palettes(packing: Packing, sizes: Sequence[float | None]) -> list[Packing]:
@@ -89,7 +77,6 @@ class _Search:
     """A search for the best packing: it makes results, and compares their files.
 
     Attributes:
-        choices: What may be chosen.
         files: The files that were measured.
         guess: See `choose_packing`.
         make_and_measure: See `choose_packing`.
@@ -98,7 +85,6 @@ class _Search:
         tries_smaller: Whether smaller palettes are to be tried, for the same reason.
     """
 
-    choices: Choices
     files: MeasuredFiles
     guess: Callable[[Packing], int]
     make_and_measure: MakeAndMeasure
@@ -107,8 +93,8 @@ class _Search:
 
     def begin(self) -> Packing:
         """Make the first result, and find the best bits for it."""
-        first, files = self.choices.first, self.files
-        count = files.limited((FIRST_COUNT if self.choices.bits else 1.0) * self.guess(first))
+        first, files = self.files.choices.first, self.files
+        count = files.limited((FIRST_COUNT if self.files.choices.bits else 1.0) * self.guess(first))
         reports = self._make(first, count, partial(self._measure_first, first))
         best = files.add(first, [each for each in reports if files.is_packed_as(each, first)])
         near = [each for each in reports if self._is_promising(each, files.file(best))]
@@ -149,10 +135,10 @@ class _Search:
     @property
     def own_fit(self) -> float:
         """Share of all splats that fit with harmonics of their own; 0 if there is no choice."""
-        first = self.choices.first
+        first = self.files.choices.first
         if first.per_entry is None:
             return 0.0
-        own = replace(first, per_entry=self.choices.own_per_entry)
+        own = replace(first, per_entry=self.files.choices.own_per_entry)
         return self.guess(own) / self.files.available
 
     def _bits_for(self, packing: Packing, best: Packing) -> BitValues:
@@ -165,9 +151,9 @@ class _Search:
             return best.bits
         limit = max if (packing.per_entry or 0) > (best.per_entry or 0) else min
         of_harmonics = {
-            name: limit(value, self.choices.bits[name].search_start)
+            name: limit(value, self.files.choices.bits[name].search_start)
             for name, value in best.bits
-            if self.choices.bits[name].of_harmonics
+            if self.files.choices.bits[name].of_harmonics
         }
         return tuple((dict(best.bits) | of_harmonics).items())
 
@@ -226,7 +212,7 @@ class _Search:
             filled.add(packing.bits)
             less, more = sorted((before, reports[0]), key=lambda each: each.bytes)
             if more.bytes > (1 + BITS_TOLERANCE) * less.bytes:
-                files.slope = max(files.slope, slope_of(self.choices, less, more))
+                files.slope = max(files.slope, slope_of(self.files.choices, less, more))
 
     def _make(
         self, packing: Packing, count: int, measure_files: MeasureFiles
@@ -243,7 +229,7 @@ class _Search:
         packing = replace(first, bits=self.files.bits_of(best))
         if packing.sharing:
             reports.append(measure(replace(packing, per_entry=SMALLER_PALETTES[0])))
-        for degree in reversed(self.choices.degrees[:-1]):
+        for degree in reversed(self.files.choices.degrees[:-1]):
             reports.append(measure(replace(packing, sh_degree=degree)))
             if not self._is_promising(reports[-1], best):
                 break
@@ -264,7 +250,7 @@ class _Search:
                 otherwise another result is made, and not far behind the best.
         """
         report, files = measure(packing), self.files
-        usual = self.choices.first.per_entry
+        usual = self.files.choices.first.per_entry
         larger = usual is not None and (packing.per_entry is None or packing.per_entry < usual)
         if not larger:
             return [report]
@@ -279,7 +265,7 @@ class _Search:
         """
         tried = [packing]
         for name, value in packing.bits if self.files.is_steep else ():
-            for way in self.choices.bits[name].ways(value):
+            for way in self.files.choices.bits[name].ways(value):
                 tried += [packing.with_bits(name, other) for other in way[:1]]
         return [*map(measure, tried)]
 
@@ -295,7 +281,7 @@ class _Search:
             finer: Whether more bits are tried before fewer.
         """
         reports = []
-        for name, option in self.choices.bits.items():
+        for name, option in self.files.choices.bits.items():
             start = dict(packing.bits)[name]
             for way in option.ways(start, finer=finer):
                 for value in way:

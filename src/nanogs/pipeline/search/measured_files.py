@@ -54,7 +54,7 @@ class MeasuredFiles:
 
         They replace those of an earlier result of the same SH degree and palette size.
         """
-        self._by_bits[_without_bits(packing)] = {self.bits_of(each): each for each in reports}
+        self._by_bits[_without_precision(packing)] = {self.bits_of(each): each for each in reports}
         if len(reports) > 1:
             self._slope_for_bits = self.slope
         return self.with_best_bits(packing)
@@ -64,16 +64,16 @@ class MeasuredFiles:
     ) -> None:
         """Add the files of another result, but leave those with the bits `kept` as they are."""
         new = {self.bits_of(each): each for each in reports}
-        files = self._by_bits[_without_bits(packing)]
+        files = self._by_bits[_without_precision(packing)]
         files |= {bits: report for bits, report in new.items() if bits not in kept}
 
     def number(self, packing: Packing) -> int:
         """Return for how many choices of bits a packing was measured."""
-        return len(self._by_bits.get(_without_bits(packing), ()))
+        return len(self._by_bits.get(_without_precision(packing), ()))
 
     def file(self, packing: Packing) -> PackingReport:
         """Return the file of a packing."""
-        return self._by_bits[_without_bits(packing)][packing.bits]
+        return self._by_bits[_without_precision(packing)][packing.bits]
 
     @property
     def latest(self) -> Packing:
@@ -82,7 +82,7 @@ class MeasuredFiles:
 
     def with_best_bits(self, packing: Packing) -> Packing:
         """Return a measured packing with the bits of the greatest value."""
-        files = self._by_bits[_without_bits(packing)]
+        files = self._by_bits[_without_precision(packing)]
         best = max(files, key=lambda bits: self.value(files[bits]))
         return replace(packing, bits=best, derived_options=())
 
@@ -94,7 +94,7 @@ class MeasuredFiles:
             filled: Bits with which a result was made to fill the size.
         """
         promise = partial(self._promise, packing, filled)
-        return replace(packing, bits=max(self._by_bits[_without_bits(packing)], key=promise))
+        return replace(packing, bits=max(self._by_bits[_without_precision(packing)], key=promise))
 
     def with_derived_options(self, packing: Packing) -> Packing:
         """Return a measured packing for another result of about the same count.
@@ -147,7 +147,7 @@ class MeasuredFiles:
 
     def _promise(self, packing: Packing, filled: set[BitValues], bits: BitValues) -> float:
         """Estimate the best quality, dB, of a result that fills the size with these bits."""
-        report = self._by_bits[_without_bits(packing)][bits]
+        report = self._by_bits[_without_precision(packing)][bits]
         excess, slope = self._excess(report), self.slope
         if excess > 0 and bits not in filled and packing.per_entry is None:
             slope = LEAST_SLOPE  # the loss from fewer splats is not measured yet
@@ -162,5 +162,5 @@ class MeasuredFiles:
         return max(math.log(report.bytes / self.size), math.log(report.count / self.available))
 
 
-def _without_bits(packing: Packing) -> Packing:
-    return replace(packing, bits=(), derived_options=())
+def _without_precision(packing: Packing) -> Packing:
+    return replace(packing, bits=(), derived_options=(), coarseness=1.0)

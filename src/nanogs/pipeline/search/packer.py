@@ -5,13 +5,14 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, Generic
 
+from nanogs.io.format import PALETTE
 from nanogs.io.limits import degree_left_out
 from nanogs.pipeline.estimates.stage_weights import PACKINGS
 from nanogs.pipeline.options.target import count_for_size
 from nanogs.pipeline.search.choose_packing import MeasureFiles, choose_packing
 from nanogs.pipeline.search.file_size import guess_count
 from nanogs.pipeline.search.files import Files
-from nanogs.pipeline.search.measured_files import slope_of
+from nanogs.pipeline.search.measured_files import MeasuredFiles, slope_of
 from nanogs.pipeline.search.packing import Choices, Packing, unseen_packing
 from nanogs.pipeline.search.results import Results, T
 from nanogs.pipeline.search.size_request import SizeRequest
@@ -29,6 +30,10 @@ ROUNDED, ROUNDED_HARMONICS = 0.92, 0.98
 # trained scenes, because rounding could not make a file that is too large fit.
 WHOLE, WHOLE_HARMONICS = 0.99, 1.005
 CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
+
+
+_ResultKey = tuple[int, int, int | None]
+"""What a result was made with: its count, SH degree and palette size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +90,6 @@ class Packer(Generic[T]):
         files: Writes and measures results.
         progress: Notified of each stage.
         tried: Number of results that were made to choose by.
-        rounding_ratio: Bytes of the latest of these if its values are rounded so that they pack
-            well, over those with the nearest values.
     """
 
     results: Results[T]
@@ -95,8 +98,10 @@ class Packer(Generic[T]):
     files: Files[T]
     progress: Tracker
     tried: int = field(default=0, init=False)
-    rounding_ratio: float = field(default=1.0, init=False)
     _guesses: dict[Packing, int] = field(default_factory=dict, init=False)
+    # By result: the bytes of a file whose values are rounded so that they pack well, over those of
+    # one with the nearest values.
+    _rounding_ratios: dict[_ResultKey, float] = field(default_factory=dict, init=False)
 
     def pack(self) -> ChosenPacking:
         """Choose the packing."""
@@ -113,15 +118,14 @@ class Packer(Generic[T]):
             packing = self._unseen()
             return packed(packing, self.guess(packing), (), blind=looks)
         self.progress.begin("pack")
-        packing, count, tried = choose_packing(
-            choices, self._size, self._slope(), self.guess, self._make_and_measure,
-            self.results.available,
-        )  # fmt: skip
+        measured = MeasuredFiles(choices, self._size, self._slope(), self.results.available)
+        make_and_measure = partial(self._make_and_measure, measured)
+        packing, count = choose_packing(measured, self.guess, make_and_measure)
         if self.rounds:
             whole = WHOLE_HARMONICS if self.sample.sh_degree else WHOLE
-            ratio = self._usual_ratio / (whole * self.rounding_ratio)
-            count = self.deliverable(round(count * ratio))
-        return packed(packing, count, tried)
+            ratio = whole * self._rounding_ratios[_result_of(measured.file(packing))]
+            count = self.deliverable(round(count * self._usual_ratio / ratio))
+        return packed(packing, count, tuple(measured.reports))
 
     @cached_property
     def choices(self) -> Choices:
@@ -135,7 +139,7 @@ class Packer(Generic[T]):
 
     @property
     def _usual_ratio(self) -> float:
-        """The usual `rounding_ratio`; 1 if delivered values are rounded to the nearest, too."""
+        """The usual ratio of the bytes by rounding; 1 if delivered values are the nearest, too."""
         if not self.rounds:
             return 1.0
         return ROUNDED_HARMONICS if self.sample.sh_degree else ROUNDED
@@ -199,7 +203,7 @@ class Packer(Generic[T]):
         return slope_of(self.choices, *map(made, CUTS))
 
     def _make_and_measure(
-        self, packing: Packing, count: int, measure_files: MeasureFiles
+        self, measured: MeasuredFiles, packing: Packing, count: int, measure_files: MeasureFiles
     ) -> list[PackingReport]:
         """Make a result of a count and measure its files; see `choose_packing.MakeAndMeasure`."""
         count = self.deliverable(count)
@@ -212,20 +216,32 @@ class Packer(Generic[T]):
         def measure(result: T) -> dict[str, Any]:
             part.begin("encode")
             found = measure_files(partial(self._measure, result))
-            ratio = 1.0
-            if self.rounds:
-                coarseness, options = self.choices.coarseness(found[0]), found[0].options
-                _, left = self.files.packed(result, options, coarseness)
-                ratio = left / found[0].bytes
+            file = found[0]
+            if not measured.reports:  # results after the first are made for their bits
+                alike = [each for each in found if measured.is_packed_as(each, packing)]
+                file = max(alike, key=measured.value)
+            ratio = self._rounding_ratio(result, file)
             return {"files": [asdict(each) for each in found], "rounded": ratio}
 
-        _, measured = brief.make_and_measure(count, measure, part)
-        self.rounding_ratio = measured["rounded"]
-        return [PackingReport(**each) for each in measured["files"]]
+        _, made = brief.make_and_measure(count, measure, part)
+        reports = [PackingReport(**each) for each in made["files"]]
+        self._rounding_ratios[_result_of(reports[0])] = made["rounded"]
+        return reports
+
+    def _rounding_ratio(self, result: T, file: PackingReport) -> float:
+        """Return the bytes of a file if values are rounded so that it packs well, over its own."""
+        if not self.rounds:
+            return 1.0
+        coarseness = self.choices.coarseness(file)
+        return self.files.packed(result, file.options, coarseness)[1] / file.bytes
 
     def _measure(self, result: T, packing: Packing) -> PackingReport:
         options = packing.options(self.files.count(result))
         return self.files.measure(result, packing.sh_degree, options)
+
+
+def _result_of(file: PackingReport) -> _ResultKey:
+    return file.count, file.sh_degree, file.options.get(PALETTE)
 
 
 @dataclass(eq=False)
