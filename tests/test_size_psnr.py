@@ -17,9 +17,10 @@ from nanogs.pipeline.options.target import Goal, count_for_size
 from nanogs.pipeline.search.file_size import ENOUGH, fit_size, search_fit
 from nanogs.pipeline.search.file_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.search.file_size import TOLERANCE as CLOSE
-from nanogs.pipeline.search.packer import ChosenPacking, PackingForPsnr
-from nanogs.pipeline.search.packing import Packing
+from nanogs.pipeline.search.packer import MOST_SAVED, ChosenPacking, PackingForPsnr
+from nanogs.pipeline.search.packing import ERROR_LEFT, Packing
 from nanogs.pipeline.search.psnr import BELOW_STEP, MOST_PROBES, NEAR_DB, reach_psnr, search_count
+from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport, StopReason
 from nanogs.scoring.comparison import NamedModel, compare_models
@@ -443,7 +444,7 @@ def test_results_are_tried_unless_plain_cuts_are_far_below_the_psnr(lack, tried)
     def psnr_of(count):
         return 20 + count / 100
 
-    def packed(_count):
+    def packed(_count, _slope):
         return results, 950
 
     results, asked = Noted(), 29.0
@@ -511,7 +512,7 @@ def test_a_psnr_never_takes_more_bytes_than_the_whole_model(asked, whole_psnr, e
     results = CountedResults()
     pack = PackingForPsnr(results, None, None, Files(), Tracker(None, []))
 
-    def chosen(count):
+    def chosen(count, _slope):
         packing = Packing(0, None, (("bits", 8),))
         tried = (PackingReport(0, {}, count, 1, 30.0, 0.9, 31.0, 0.9),)
         pack.packed = ChosenPacking(packing, count, tried, 0, 0, ".sog")
@@ -525,6 +526,61 @@ def test_a_psnr_never_takes_more_bytes_than_the_whole_model(asked, whole_psnr, e
         assert result < 1000
         assert found.stop is StopReason.TARGET
         assert pack.options(result) == {"bits": 8}
+
+
+@pytest.mark.parametrize(
+    ("fitted", "slope", "size"),
+    [
+        # A whole fit leaves 0.6 of the error: 2.2 dB more. So it gains 6 dB over the cut.
+        (36 + 10 * math.log10(ERROR_LEFT), 6.0, 9000 / math.e),
+        (27.0, 6.0, 9000),  # a fit that does not help is no reason for a larger file
+        (90.0, 1.0, 9000 * math.exp(-MOST_SAVED)),
+    ],
+)
+def test_a_packing_for_a_psnr_is_chosen_at_the_size_of_a_fitted_result(
+    monkeypatch, fitted, slope, size
+):
+    """A plain cut of 300 splats reaches the PSNR in 9,000 B; fitted, fewer splats reach it."""
+
+    class Cut(CountedResults):
+        def __init__(self, psnr):
+            self.psnr = psnr
+
+        def plain(self, rounds=None):
+            assert rounds == 0, "as in the search that led to the count"
+            return Cut(30.0)
+
+        def brief(self):
+            return Cut(fitted)
+
+        def make_and_measure(self, count, measure, progress):
+            assert count == 300
+            return self, measure(self)
+
+    class Files:
+        def measure(self, result, sh_degree, options):
+            assert (sh_degree, options) == (2, {})
+            size = 9000 if result.psnr == 30.0 else 8000
+            return PackingReport(2, {}, 300, size, result.psnr, 0.9, result.psnr, 0.9)
+
+    class Recorded:
+        def __init__(self, results, request, *others):
+            self.request = request
+
+        def pack(self):
+            asked.append(self.request)
+            return ChosenPacking(Packing(2), 250, (), 2, 2, ".spz")
+
+        def results_for(self, packing):
+            return results
+
+    asked, results = [], Cut(0.0)
+    monkeypatch.setattr("nanogs.pipeline.search.packer.Packer", Recorded)
+    request = SizeRequest(0, registry.writable(Path("a.spz")), {}, 2)
+    sample = random_splats(9, degree=3)
+    pack = PackingForPsnr(results, request, lambda: sample, Files(), Tracker(None, []))
+    assert pack(300, slope) == (results, 250)
+    assert asked == [request._replace(size=round(size), by_psnr=True)]
 
 
 def test_the_number_of_probes_is_limited():

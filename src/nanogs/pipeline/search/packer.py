@@ -1,5 +1,6 @@
 """Choice of a packing for a file size: each candidate is written, read back and rendered."""
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
@@ -29,6 +30,7 @@ ROUNDED, ROUNDED_HARMONICS = 0.92, 0.98
 # The ratio after a whole fit over the measured one. With harmonics it is a little more than in
 # trained scenes, because rounding could not make a file that is too large fit.
 WHOLE, WHOLE_HARMONICS = 0.99, 1.005
+MOST_SAVED = 2.0  # -log of the share of a plain cut's bytes with which a fit may reach its PSNR
 CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
 
 
@@ -264,27 +266,42 @@ class PackingForPsnr(Generic[T]):
     progress: Tracker
     packed: ChosenPacking | None = None
 
-    def __call__(self, count: int) -> tuple[Results[T], int]:
-        """Choose the packing for files about as large as that of a plain cut.
+    def __call__(self, count: int, slope: float) -> tuple[Results[T], int]:
+        """Choose the packing for files about as large as the one that reaches the PSNR.
 
         Args:
-            count: Splats of the plain cut.
+            count: Splats of a plain cut that about reaches it.
+            slope: PSNR gained by more splats, dB for e times as many.
 
         Returns:
-            A maker of results that suit the packing, and a count whose file has about the same
-            size.
+            A maker of results that suit the packing, and a count whose file has about that size.
         """
         if self.request.known.file_bytes is not None:
             return self.results, count  # the count alone decides the size: nothing to choose
         self.progress.begin("guess")
-        plain = self.results.plain(rounds=0)
-        part = self.progress.within(0, 1, plain.stages(count))
-        _, size = plain.make_and_measure(count, partial(self.files.bytes_of, options={}), part)
-        request = self.request._replace(size=size, by_psnr=True)
-        packer = Packer(self.results, request, self.sample(), self.files, self.progress)
+        sample, request = self.sample(), self.request._replace(by_psnr=True)
+        request = request._replace(size=self._size(request.choices(sample.sh_degree), count, slope))
+        packer = Packer(self.results, request, sample, self.files, self.progress)
         packed = packer.pack()
         self.packed = packed if packed.packings else None
         return packer.results_for(packed.packing), packed.count
+
+    def _size(self, choices: Choices, count: int, slope: float) -> int:
+        """Estimate the bytes of the file that reaches the PSNR, as a plain cut about does.
+
+        A fitted result of the count is better than the cut, so that fewer splats reach the PSNR.
+        """
+
+        def measured(number: int, some: Results[T]) -> PackingReport:
+            def measure(result: T) -> dict[str, Any]:
+                return asdict(self.files.measure(result, choices.degrees[-1], {}))
+
+            part = self.progress.within(number, 2, some.stages(count))
+            return PackingReport(**some.make_and_measure(count, measure, part)[1])
+
+        cut, brief = map(measured, (0, 1), (self.results.plain(rounds=0), self.results.brief()))
+        gained = max(choices.quality(brief) - cut.psnr, 0.0)
+        return round(cut.bytes * math.exp(-min(gained / slope, MOST_SAVED)))
 
     def smaller(self, whole: T, result: T, reaches: Callable[[], bool]) -> bool:
         """Whether the whole model, plainly packed, is better than a result; then nothing is chosen.

@@ -198,7 +198,7 @@ def reach_psnr(
     asked: float,
     psnr_of: Callable[[T], float],
     progress: Tracker,
-    pack: Callable[[int], tuple[Results[T], int]],
+    pack: Callable[[int, float], tuple[Results[T], int]],
     smaller: Callable[[T, T, Callable[[], bool]], bool],
 ) -> tuple[T, _Found]:
     """Find the smallest result of a model that reaches a PSNR on held-out views.
@@ -210,8 +210,9 @@ def reach_psnr(
         asked: dB.
         psnr_of: Measures a result on views that are not used for fitting or choosing, dB.
         progress: Notified of each stage.
-        pack: Takes the count that quick results lead to, and chooses the packing of the delivered
-            ones; returns a maker of these and a count to begin with.
+        pack: Takes the count that quick results lead to, and their slope, dB for e times the
+            splats; chooses the packing of the delivered results, and returns a maker of these and
+            a count to begin with.
         smaller: Takes the whole model, a result, and a test whether the former reaches the PSNR as
             it would be packed now. Returns whether it does so in a smaller file than the result, by
             the defaults of its format; then it is returned. Asked if a packing was chosen and most
@@ -234,7 +235,7 @@ def reach_psnr(
         probes, slope = near.probes, _slope(near.probes)
         if _hopeless(near, asked):
             return _whole(results, near, progress)
-        delivered, guess = pack(near.count)
+        delivered, guess = pack(near.count, slope)
         progress.begin("deliver")
     tried = attempts(delivered)
     found = search_count(tried, asked, *limits, guess, slope)
