@@ -5,10 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given as drawn
+from hypothesis import strategies as st
 
 import nanogs
 from builders import model_bytes, random_splats
 from launch import run_here
+from nanogs.datasets.synthetic import make_scene
 from nanogs.errors import ModelError, OptionError
 from nanogs.io import registry
 from nanogs.io.ply import write as ply_write
@@ -19,7 +22,16 @@ from nanogs.pipeline.search.file_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.search.file_size import TOLERANCE as CLOSE
 from nanogs.pipeline.search.packer import MOST_SAVED, ChosenPacking, PackingForPsnr
 from nanogs.pipeline.search.packing import ERROR_LEFT, Packing
-from nanogs.pipeline.search.psnr import BELOW_STEP, MOST_PROBES, NEAR_DB, reach_psnr, search_count
+from nanogs.pipeline.search.psnr import (
+    BELOW_STEP,
+    COARSEST,
+    HALVINGS,
+    MOST_PROBES,
+    NEAR_DB,
+    coarsest,
+    reach_psnr,
+    search_count,
+)
 from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.progress import Tracker
 from nanogs.report import PackingReport, StopReason
@@ -619,3 +631,51 @@ def test_a_ratio_of_one_grows_no_forest(splats, monkeypatch):
 def test_anything_but_one_valid_target_is_refused(options, message):
     with pytest.raises(OptionError, match=message):
         Goal(**options)
+
+
+# ---- what a result has above its PSNR is used up by rounding -----------------------------------
+
+
+@drawn(st.floats(0.5, 5.0))
+def test_values_are_rounded_as_coarsely_as_the_psnr_allows(limit):
+    tried = []
+
+    def reaches(coarseness):
+        tried.append(coarseness)
+        return coarseness <= limit
+
+    found = coarsest(reaches)
+    assert min(tried) > 1.0, "the result itself reaches it"
+    assert len(tried) <= 1 + HALVINGS
+    if limit >= COARSEST:
+        assert (found, tried) == (COARSEST, [COARSEST])
+    elif found > 1.0:
+        assert found <= limit < found * COARSEST ** (1 / 2**HALVINGS) * (1 + 1e-9)
+    else:
+        assert limit < COARSEST ** (1 / 2**HALVINGS) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("storage", ["held", "blocks"])
+def test_a_file_of_a_psnr_is_rounded_until_it_has_no_more(tmp_path, monkeypatch, storage):
+    """Its file has fewer bytes than with usual rounding, and the PSNR that is reported."""
+    scene = make_scene(2000, seed=3)
+    nanogs.save(scene, tmp_path / "in.ply")
+    given = {"psnr": 27.0, "steps": 24, "views": 24, "view_size": 64, "around": 0}
+
+    def made(name):
+        path = tmp_path / name
+        if storage == "held":
+            small, report = nanogs.simplify(scene, format=".sog", **given)
+            nanogs.save(small, path, format_options=report.format_options)
+        else:
+            report = nanogs.simplify_blocks(tmp_path / "in.ply", path, block=1500, **given)
+        assert report.stop is StopReason.TARGET
+        psnr = nanogs.compare(scene, nanogs.load(path)).models[0].psnr
+        assert 27.0 <= psnr == pytest.approx(report.judged.psnr, abs=1e-6)
+        return path.stat().st_size, psnr
+
+    coarse = made("coarse.sog")
+    monkeypatch.setattr("nanogs.pipeline.search.psnr.coarsest", lambda reaches: 1.0)
+    usual = made("usual.sog")
+    assert coarse[0] < usual[0]
+    assert coarse[1] < usual[1]

@@ -93,7 +93,8 @@ class ProbeReport:
 
     Attributes:
         count: Number of splats of the result.
-        psnr: PSNR of the result, measured as for `SimplifyReport.judged`, dB.
+        psnr: PSNR of the result, measured as for `SimplifyReport.judged`, dB. If the delivered one
+            has more than asked, it is then rounded more coarsely, as far as its format allows.
         quick: Whether it was a plain cut, to narrow down the count; else it was made in the same
             way as a delivered result.
     """

@@ -144,7 +144,7 @@ def search_draw_cost(
     def cost_of(result: T) -> DrawCost:
         count = files.count(result)
         if count not in costs:
-            with files.clock.time("measure"), files.stored(result, {}) as small:
+            with files.clock.time("measure"), files.stored(files.rounded(result, {}), {}) as small:
                 costs[count] = views.cost(small)
         return costs[count]
 

@@ -73,10 +73,10 @@ class Files(Protocol[R]):
     def count(self, result: R) -> int:
         """Return the number of splats of a result."""
 
-    def rounded(self, result: R, options: Options) -> R:
+    def rounded(self, result: R, options: Options, coarseness: float = 1.0) -> R:
         """Return a result whose values are rounded so that its file packs well.
 
-        It is returned itself if it was not fitted.
+        It is returned itself if it was not fitted. The arguments are those of `bytes_of`.
         """
 
     def curvatures(self, result: R) -> Curvatures | None:
@@ -149,7 +149,7 @@ class Files(Protocol[R]):
         """
 
     def stored(self, result: R, options: Options) -> AbstractContextManager[Splats | Source]:
-        """Open a result as its file holds or shows it, in the frame of the original."""
+        """Open a result, rounded or not, as its file holds it, in the frame of the original."""
 
     def unwritten(self, result: R) -> AbstractContextManager[Splats | Source]:
         """Open a result as it is before it is written, in the frame of the original."""
@@ -190,20 +190,17 @@ class HeldFiles(Files[Outcome]):
         """Return the number of splats of a result; see `Files.count`."""
         return len(result.splats)
 
-    def rounded(self, result: Outcome, options: Options) -> Outcome:
-        """Return a result whose values are rounded to pack well; see `Files.rounded`."""
-        return self._economical(result, options, 1.0)
-
     def curvatures(self, result: Outcome) -> Curvatures | None:
         """Return how much a result's values show; see `Files.curvatures`."""
         return result.curvatures if self.known.quantisation else None
 
     def packed(self, result: Outcome, options: Options, coarseness: float) -> tuple[Outcome, int]:
         """Return a rounded result and the bytes of its file; see `Files.packed`."""
-        small = self._economical(result, options, coarseness)
+        small = self.rounded(result, options, coarseness)
         return small, self.sample_bytes(small.splats, options)
 
-    def _economical(self, result: Outcome, options: Options, coarseness: float) -> Outcome:
+    def rounded(self, result: Outcome, options: Options, coarseness: float = 1.0) -> Outcome:
+        """Return a result whose values are rounded to pack well; see `Files.rounded`."""
         if self.curvatures(result) is None:
             return result
         with self.clock.time("encode"):
@@ -227,7 +224,7 @@ class HeldFiles(Files[Outcome]):
     @contextmanager
     def stored(self, result: Outcome, options: Options) -> Iterator[Splats]:
         """Encode a result and read it back; see `Files.stored`."""
-        small = turned(self.rounded(result, options).splats, self.frame)
+        small = turned(result.splats, self.frame)
         yield turned(round_trip(small, self.output, self.with_given(options)), back(self.frame))
 
     def unwritten(self, result: Outcome) -> AbstractContextManager[Splats]:

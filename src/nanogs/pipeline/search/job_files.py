@@ -83,13 +83,13 @@ class JobFiles(Files[Result]):
         """Return the number of splats of a result."""
         return result.work.target(result.level)
 
-    def rounded(self, result: Result, options: Options) -> Result:
+    def rounded(self, result: Result, options: Options, coarseness: float = 1.0) -> Result:
         """Return a result that is rounded when it is written; see `Files.rounded`."""
-        return replace(result, rounding=Rounding(options, 1.0))
+        return replace(result, rounding=Rounding(options, coarseness))
 
     def packed(self, result: Result, options: Options, coarseness: float) -> tuple[Result, int]:
         """Write a result that is rounded; return it and the bytes of its file."""
-        made = replace(result, rounding=Rounding(options, coarseness))
+        made = self.rounded(result, options, coarseness)
         with (
             self.clock.time("encode"),
             result_of(made.work, made.level) as source,
@@ -148,8 +148,10 @@ class JobFiles(Files[Result]):
                 self._refuse_large(source, options)
                 yield turned_back(InMemory(self.known.shown(source.load())), result)
                 return
-            small = self.prepared(self.rounded(result, options), source)
-            with self.written(small, options) as path, open_model(path) as file:
+            with (
+                self.written(self.prepared(result, source), options) as path,
+                open_model(path) as file,
+            ):
                 yield turned_back(file, result)
 
     @contextmanager

@@ -30,6 +30,7 @@ USUAL_SLOPE = 3.0  # dB for e times the splats; trained scenes: 2 to 5
 SLOPES = 1.0, 10.0  # dB, limits of a measured slope: beyond them, small unevennesses mislead
 MOST_LOG_CHANGE = 3.0  # largest change of the log of the count at once, while one side is unknown
 FAR = 0.7  # share of the largest count, beyond which the largest is tried at once
+COARSEST, HALVINGS = 2.5, 3  # most coarsely that values are rounded, and steps to find how coarsely
 HOPELESS_DB = 6.0  # dB that a quick result may lack and delivered results still be tried
 
 _Probe = ProbeReport | None
@@ -177,20 +178,47 @@ def search_psnr(pack: PackingForPsnr[T], asked: float, views: HeldOut) -> Delive
     """
     results, files, progress = pack.results, pack.files, pack.progress
 
-    def measured(result: T, measure: Callable[[Splats | Source], M]) -> M:
-        with files.clock.time("measure"), files.stored(result, pack.options(result)) as small:
-            return measure(small)
+    def rounded(result: T, coarseness: float) -> T:
+        return files.rounded(result, pack.options(result), coarseness)
 
-    def psnr_of(result: T) -> float:
-        return measured(result, views.psnr)
+    def measured(small: T, measure: Callable[[Splats | Source], M]) -> M:
+        with files.clock.time("measure"), files.stored(small, pack.options(small)) as stored:
+            return measure(stored)
+
+    def psnr_of(result: T, coarseness: float = 1.0) -> float:
+        return measured(rounded(result, coarseness), views.psnr)
 
     result, found = reach_psnr(results, asked, psnr_of, progress, pack, pack.smaller)
     if found.stop is StopReason.UNREACHED:  # the whole model is written, without the packing
         pack.packed = None
     results.verify(result, progress)
-    fields = {"probes": found.probes, "stop": found.stop, "judged": measured(result, views.judge)}
-    fields |= pack.report_fields(result)
-    return Delivered(files.rounded(result, pack.options(result)), fields, pack.notes)
+    coarseness = 1.0
+    if found.stop is not StopReason.UNREACHED and files.curvatures(result) is not None:
+        coarseness = coarsest(lambda tried: psnr_of(result, tried) >= asked)
+    small = rounded(result, coarseness)
+    fields = {"probes": found.probes, "stop": found.stop, "judged": measured(small, views.judge)}
+    return Delivered(small, fields | pack.report_fields(result), pack.notes)
+
+
+def coarsest(reaches: Callable[[float], bool]) -> float:
+    """Return the coarseness of rounding, 1 or more, with which a result still reaches its PSNR.
+
+    Results are mostly somewhat better than asked. Coarser values use that up for a smaller file at
+    once, while another count needs another fit.
+
+    Args:
+        reaches: Whether the result does so with a coarseness.
+    """
+    if reaches(COARSEST):
+        return COARSEST
+    fine, coarse = 0.0, math.log(COARSEST)
+    for _ in range(HALVINGS):
+        middle = (fine + coarse) / 2
+        if reaches(math.exp(middle)):
+            fine = middle
+        else:
+            coarse = middle
+    return math.exp(fine)
 
 
 def reach_psnr(
