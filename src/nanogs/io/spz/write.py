@@ -237,10 +237,10 @@ def losses(
         f"log-scales outside {low:g} to {high:.2f}, the range of {range_of}",
     )
     out += clamped_colours(splats, range_of)
-    bits = _bits(_reach([splats]))
-    if 0 <= bits < USUAL_FRACTION_BITS:
+    fraction = _most_fraction_bits(_reach([splats]))
+    if 0 <= fraction < USUAL_FRACTION_BITS:
         text = "Centres are rounded to 1/{}, because the scene is so large."
-        out.append(Finding(text, 1 << bits, min))
+        out.append(Finding(text, 1 << fraction, min))
     return tuple(out)
 
 
@@ -262,57 +262,61 @@ def clamped_colours(splats: Splats, range_of: str) -> list[str]:
 def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
     """Return the number of fraction bits for centres: 12 or more, less those that are spared.
 
-    Bits are spared where splats are so large that they do not need them. Very large scenes have
-    fewer than 12 bits, and then none is spared by default.
+    They are spared where splats are so large that they do not need them. Very large scenes have
+    fewer than 12, and then none is spared by default.
 
     Raises:
-        OptionError: The `spare` of `precision` exceeds the number of bits that there are.
+        OptionError: The `spare` of `precision` exceeds the number of fraction bits that there are.
         OutputError: A value is NaN or infinite, or a centre is too far out for 24-bit integers.
     """
-    bits, spare = _bits_and_spare(source_of(model), precision)
-    if spare > bits:
+    most, spare = _fraction_and_spare(source_of(model), precision)
+    if spare > most:
         raise OptionError(
-            f"`spare_bits={spare}` leaves none of the {bits} fraction bits of the centres; give"
+            f"`spare_bits={spare}` leaves none of the {most} fraction bits of the centres; give"
             " fewer."
         )
-    return bits - spare
+    return most - spare
 
 
 def spare_bits(source: Source, bits: int = MOST_BITS) -> int:
     """Return the number of fraction bits that `write` drops from centres by default.
 
+    Args:
+        source: The model.
+        bits: As for `write`.
+
     Raises:
         OutputError: As for `fraction_bits`.
     """
-    return _bits_and_spare(source, Precision(bits))[1]
+    return _fraction_and_spare(source, Precision(bits))[1]
 
 
-def _bits_and_spare(source: Source, precision: Precision) -> tuple[int, int]:
+def _fraction_and_spare(source: Source, precision: Precision) -> tuple[int, int]:
     """Return the most fraction bits that the scene's extent allows, and how many are dropped.
 
     Raises:
         OutputError: As for `fraction_bits`.
     """
     reach = _reach(limits.storable(source, SUFFIX))
-    if (bits := _bits(reach)) < 0:
+    if (most := _most_fraction_bits(reach)) < 0:
         raise UnstorableError(
             f"A centre is {reach:g} from the origin along an axis, but {SUFFIX} ends at"
             f" {_FIXED_MAX:,}; move the model to the origin or scale it down."
         )
-    spare = _spare(source, precision, bits)
+    spare = _spare(source, precision, most)
     # Rounding down to a power of two makes room for one more bit. Without it, a file that is read
     # and written again would change.
-    decoded = math.ldexp(round(math.ldexp(reach, bits - spare)), spare - bits)
-    if (more := _bits(decoded)) > bits:
+    decoded = math.ldexp(round(math.ldexp(reach, most - spare)), spare - most)
+    if (more := _most_fraction_bits(decoded)) > most:
         return more, _spare(source, precision, more)
-    return bits, spare
+    return most, spare
 
 
-def _spare(source: Source, precision: Precision, bits: int) -> int:
-    """Return the number of fraction bits to drop from centres, out of `bits`."""
-    if precision.spare is None and bits < USUAL_FRACTION_BITS:
+def _spare(source: Source, precision: Precision, fraction: int) -> int:
+    """Return how many of a number of fraction bits to drop from centres."""
+    if precision.spare is None and fraction < USUAL_FRACTION_BITS:
         return 0
-    step = np.full((1, 1), math.ldexp(1.0, -bits))
+    step = np.full((1, 1), math.ldexp(1.0, -fraction))
     decoded = (_sizes_as_decoded(block, STEPS[precision.bits]) for block in source.blocks())
     return precision.spare_bits(decoded, lambda _block: step)
 
@@ -320,7 +324,8 @@ def _spare(source: Source, precision: Precision, bits: int) -> int:
 def _sizes_as_decoded(block: Splats, steps: Steps) -> Splats:
     """Return a block with the scales and opacities that reading it again gives.
 
-    Bits are spared by these, so that a model that was read is written with as many as before.
+    Fraction bits are spared by these, so that a model that was read is written with as many as
+    before.
     """
     return replace(
         block,
@@ -334,14 +339,14 @@ def _reach(blocks: Iterable[Splats]) -> float:
     return float(np.max([np.abs(block.means).max(initial=0) for block in blocks], initial=0))
 
 
-def _bits(reach: float) -> int:
+def _most_fraction_bits(reach: float) -> int:
     """Return the fraction bits for an extent; negative if it is too large or not finite."""
     if not reach <= _FIXED_MAX:
         return -1
-    fraction, exponent = math.frexp(reach or math.ulp(0))  # as near as possible to zero
-    exponent -= fraction == 0.5  # reach <= 2^exponent: centres may be rounded up to it
-    bits = min(max(USUAL_FRACTION_BITS, _SIGNIFICANT_BITS - exponent), 23 - exponent, 20)
-    return bits - (round(math.ldexp(reach, bits)) > _FIXED_MAX)
+    mantissa, exponent = math.frexp(reach or math.ulp(0))  # as near as possible to zero
+    exponent -= mantissa == 0.5  # reach <= 2^exponent: centres may be rounded up to it
+    most = min(max(USUAL_FRACTION_BITS, _SIGNIFICANT_BITS - exponent), 23 - exponent, 20)
+    return most - (round(math.ldexp(reach, most)) > _FIXED_MAX)
 
 
 def _with_palette(
@@ -428,9 +433,9 @@ def quantisation(splats: Splats, bits: int, version: int, spare: int | None) -> 
     )
 
 
-def _on_grid(means: F32, bits: int) -> F32:
+def _on_grid(means: F32, fraction: int) -> F32:
     """Return centres, (N, 3), with this number of fraction bits."""
-    return np.ldexp(_fixed_point(means, bits), -bits).astype(np.float32)
+    return np.ldexp(_fixed_point(means, fraction), -fraction).astype(np.float32)
 
 
 def _codes(step: int, start: int = 0) -> I64:
@@ -501,15 +506,18 @@ def _compressed(column: Iterable[bytes]) -> bytes:
     return zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_checksum=True).compress(plain)
 
 
-def _fixed_point(means: F32 | F64, bits: int) -> F64:
+def _fixed_point(means: F32 | F64, fraction: int) -> F64:
     """Return centres as whole numbers, with this number of fraction bits."""
-    fixed: F64 = np.rint(np.ldexp(means.astype(np.float64), bits))
+    fixed: F64 = np.rint(np.ldexp(means.astype(np.float64), fraction))
     return fixed
 
 
-def _positions(means: F32 | F64, bits: int) -> U8:
-    """Encode (R, 3) centres as (R, 9) bytes: three little-endian 24-bit integers each."""
-    fixed = _fixed_point(means, bits).astype("<i4")
+def _positions(means: F32 | F64, fraction: int) -> U8:
+    """Encode (R, 3) centres as (R, 3, 3) bytes: a little-endian 24-bit integer for each value.
+
+    `fraction` is the number of their fraction bits.
+    """
+    fixed = _fixed_point(means, fraction).astype("<i4")
     wide: U8 = fixed[:, :, None].view(np.uint8)
     return wide[:, :, :3]
 
