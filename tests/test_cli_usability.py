@@ -160,7 +160,12 @@ def test_pipes_get_plain_text_in_whole_lines(tmp_path):
         (("convert", "a", "b", "--sh-degree", "x"), "--sh-degree takes a whole number, not 'x'"),
         (("simplify", "a", "b", "--nan", "x"), "'--nan': 'x' is not one of 'drop', 'error'"),
         (("simplify", "a", "b", "--preset"), "an argument; see `nanogs simplify --help`"),
-        (("info",), "Missing argument 'IN'; see `nanogs info --help`"),
+        (("info",), "Missing argument 'IN' of `nanogs info IN`; see `nanogs info --help`"),
+        (
+            ("compare", "a.ply"),
+            "Missing argument 'TEST...' of `nanogs compare REF TEST...`; see `nanogs compare",
+        ),
+        (("bench",), "Give at least one model to measure on: a file, or a folder of models."),
         (("presets", "fast"), "Too many arguments: fast; see `nanogs presets --help`"),
         (("info", "my", "a.ply", "b.ply"), "arguments: a.ply b.ply (a name with spaces needs"),
     ],

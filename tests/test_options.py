@@ -49,7 +49,7 @@ def scene(tmp_path_factory):
     [("0.1", 0.1), ("10%", 0.1), ("7 %", 0.07), (".5", 0.5), ("1", 1.0), ("1e-2", 0.01)],
 )
 def test_ratios_are_parsed(text, value):
-    assert parsing.parse_ratio(text) == value
+    assert parsing.parse_ratio(text, "--ratio") == value
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_ratios_are_parsed(text, value):
     [("12", 12), ("100k", 100_000), ("100K", 100_000), ("1.5M", 1_500_000), ("2G", 2 * 10**9)],
 )
 def test_counts_are_parsed(text, value):
-    assert parsing.parse_count(text) == value
+    assert parsing.parse_count(text, "--count") == value
 
 
 @pytest.mark.parametrize(
@@ -80,26 +80,26 @@ def test_wrong_sizes_in_bytes_are_refused(size):
 
 @pytest.mark.parametrize("text", ["", "ten", "10%%", "1,5", "nan", "1e400", "1e9999", "1.2.3"])
 def test_wrong_ratios_are_refused(text):
-    with pytest.raises(OptionError, match=r"0\.1 or 10%"):
-        parsing.parse_ratio(text)
+    with pytest.raises(OptionError, match=r"^--ratio takes a number like 0\.1 or 10%, not '"):
+        parsing.parse_ratio(text, "--ratio")
 
 
 def test_more_than_the_whole_in_per_cent_is_refused_as_it_was_typed():
-    assert parsing.parse_ratio("100%") == 1
-    with pytest.raises(OptionError, match=r"^A ratio or share is at most 100%, not '101 %'\.$"):
-        parsing.parse_ratio("101 %")
+    assert parsing.parse_ratio("100%", "-r") == 1
+    with pytest.raises(OptionError, match=r"^-r takes 100% or less, not '101 %'\.$"):
+        parsing.parse_ratio("101 %", "-r")
 
 
 @pytest.mark.parametrize("text", ["", "1", "1,2", "1,2,3,4", "a,b,c", "nan,0,0", "0,-inf,0"])
 def test_what_is_not_three_numbers_is_refused_as_it_was_typed(text):
-    with pytest.raises(OptionError, match=f"^Three finite numbers are needed, .* not '{text}'"):
-        parsing.parse_vector(text)
+    with pytest.raises(OptionError, match=f"^--scale takes three finite numbers, .* not '{text}'"):
+        parsing.parse_vector(text, "--scale")
 
 
 @pytest.mark.parametrize("text", ["", "ten", "1.5", "1.0005k", "-3", "3kB"])
 def test_wrong_counts_are_refused(text):
-    with pytest.raises(OptionError, match="100k"):
-        parsing.parse_count(text)
+    with pytest.raises(OptionError, match=f"^--chunk takes a whole number .*100k.* not '{text}'"):
+        parsing.parse_count(text, "--chunk")
 
 
 def test_too_little_memory_is_refused_with_the_likely_remedy():
@@ -135,15 +135,21 @@ def test_percentages_and_unit_prefixes_work_on_the_command_line(scene, tmp_path)
     ("arguments", "fragments"),
     [
         (["b.ply", "-r", "ten"], ["0.1 or 10%", "'ten'"]),
-        (["b.ply", "--draw-cost", "half"], ["A ratio or share is like 0.1 or 10%, not 'half'"]),
-        (["b.ply", "--count", "1.5"], ["100k", "'1.5'"]),
+        (
+            ["b.ply", "--draw-cost", "half"],
+            ["--draw-cost takes a number like 0.1 or 10%, not 'half'"],
+        ),
+        (["b.ply", "--count", "1.5"], ["--count takes a whole number", "100k", "'1.5'"]),
         (["b.ply", "-r", "0.1", "--threads", "x"], ["--threads takes a whole number, not 'x'"]),
         (["b.ply", "-r", "0.1", "--threads", "0"], ["--threads takes 1 or more, not '0'"]),
         (["b.ply", "-r", "0.1", "--lambda-app", "x"], ["--lambda-app takes a number, not 'x'"]),
         (["b.ply", "-r", "0.1", "--max-memory", "4"], ["4 B", "--max-memory 4GB"]),
         (["b.ply", "-r", "0.1", "--max-memory", "1KB"], ["1,000 B", "; allow more, as in"]),
         (["b.ply", "-r", "0.1", "--workers", "9" * 20], ["--workers takes 1024 or less"]),
-        (["b.ply", "-r", "0.1", "--up", "nan,0,1"], ["direction is finite", "'nan,0,1'"]),
+        (
+            ["b.ply", "-r", "0.1", "--up", "nan,0,1"],
+            ["--up takes a direction, finite", "'nan,0,1'"],
+        ),
         (["b.ply", "-r", "0.1", "--lambda-app", "-1"], ["error: --lambda-app must be 0 or more"]),
         (["b.ply", "-r", "0.1", "--threads", "5000"], ["error: --threads must be from 1 to"]),
         (["b.ply", "--size", "2", "MB"], ["MB is a unit, not a file", "one word, as in 2MB"]),

@@ -162,9 +162,9 @@ def test_convert_transforms_after_frame_and_filters(tmp_path, suffix):
 def test_the_command_refuses_what_are_no_three_numbers(tmp_path):
     nanogs.save(random_splats(5), tmp_path / "a.ply")
     for text, message in (
-        ("1,2", "Three finite numbers are needed, such as 0,90,0, not '1,2'"),
-        ("a,b,c", "Three finite numbers are needed"),
-        ("1,inf,2", "Three finite numbers are needed"),
+        ("1,2", "error: --rotate takes three finite numbers, such as 0,90,0, not '1,2'"),
+        ("a,b,c", "--rotate takes three finite numbers"),
+        ("1,inf,2", "--rotate takes three finite numbers"),
     ):
         done = run_command("convert", tmp_path / "a.ply", tmp_path / "b.ply", "--rotate", text)
         assert done.returncode == 2

@@ -43,7 +43,7 @@ def run_bench(
         OptionError: There is no scene, two have the same name, or a setting is out of range.
     """
     if not scenes:
-        raise OptionError("Give at least one model to measure on.")
+        raise OptionError("Give at least one model to measure on: a file, or a folder of models.")
     refuse_duplicates("scene", [scene.name for scene in scenes])
     for pattern in settings.externals.values():
         measuring.external_path(pattern, scenes[0], settings.targets[0])

@@ -252,7 +252,8 @@ def _targets(ratios: str | None, sizes: str | None, formats: str | None) -> dict
             )
         if ratios is None:
             return {"ratios": BENCH_RATIOS}
-        return {"ratios": tuple(parsing.parse_ratio(text) for text in parsing.parse_list(ratios))}
+        texts = parsing.parse_list(ratios)
+        return {"ratios": tuple(parsing.parse_ratio(text, "--ratios") for text in texts)}
     if ratios is not None:
         raise OptionError("Give --ratios or --sizes-of-files, not both.")
     if not parsing.parse_list(sizes):

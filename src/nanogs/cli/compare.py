@@ -86,7 +86,7 @@ def compare(
     budget: Annotated[
         int | None,
         typer.Option(
-            parser=parsing.parse_count,
+            parser=lambda text: parsing.parse_count(text, "--budget"),
             metavar="COUNT",
             help="Most splats that this viewer draws at once, e.g. 1M.",
             show_default="no limit, levels by distance alone",

@@ -1,7 +1,7 @@
 """`nanogs convert`."""
 
 from functools import partial
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,7 +22,15 @@ _transform = partial(
     rich_help_panel="Transforms (after --frame, in this order, in the frame of OUT)",
     show_default=False,
 )
-_vector = partial(_transform, parser=parsing.parse_vector, metavar="X,Y,Z")
+
+
+def _vector(option: str, about: str) -> Any:  # noqa: ANN401 - as typer has it
+    return _transform(
+        option,
+        parser=lambda given: parsing.parse_vector(given, option),
+        metavar="X,Y,Z",
+        help=about,
+    )
 
 
 @with_options
@@ -48,12 +56,13 @@ def convert(
     rotate: Annotated[
         parsing.Vector,
         _vector(
-            help="Turn it about the axes through the origin, x first, then y, then z; degrees."
+            "--rotate",
+            "Turn it about the axes through the origin, x first, then y, then z; degrees.",
         ),
     ] = _NONE,
     translate: Annotated[
         parsing.Vector,
-        _vector(help="Move it, in scene units of OUT."),
+        _vector("--translate", "Move it, in scene units of OUT."),
     ] = _NONE,
     of_format: options.OfFormat,
     overwrite: options.Overwrite = False,

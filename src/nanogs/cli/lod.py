@@ -63,7 +63,7 @@ def lod(
     chunk: Annotated[
         int | None,
         typer.Option(
-            parser=parsing.parse_count,
+            parser=lambda text: parsing.parse_count(text, "--chunk"),
             metavar="COUNT",
             help="Largest number of splats in a chunk of the finest level, in streamed SOG and 3D"
             " Tiles.",
@@ -73,7 +73,7 @@ def lod(
     chunk_min: Annotated[
         int | None,
         typer.Option(
-            parser=parsing.parse_count,
+            parser=lambda text: parsing.parse_count(text, "--chunk-min"),
             metavar="COUNT",
             help="Smallest number of splats in such a chunk, and in a file of streamed SOG, unless"
             " a level has fewer.",
@@ -100,7 +100,7 @@ def lod(
     environment_ratio: Annotated[
         float | None,
         typer.Option(
-            parser=parsing.parse_ratio,
+            parser=lambda text: parsing.parse_ratio(text, "--environment-ratio"),
             metavar="RATIO",
             help="Compaction ratio of the environment, all of which is loaded at once.",
             show_default="1",

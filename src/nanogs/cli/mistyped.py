@@ -60,6 +60,9 @@ def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
         takes_names = any(param.param_type_name == "argument" for param in params)
         hint = " (a name with spaces needs quotes)" if takes_names else ""
         return f"Too many arguments: {extra[1]}{hint}; see `{command}`."
+    if message.startswith("Missing argument") and context:
+        words = " ".join(context.command.collect_usage_pieces(context)[:-1])  # without [OPTIONS]
+        message = f"{message.rstrip('.')} of `{context.command_path} {words}`"
     return f"{message.rstrip('.')}; see `{command}`."
 
 

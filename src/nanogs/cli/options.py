@@ -255,7 +255,13 @@ class Running(Reporting):
 
 def count(about: str) -> Any:  # noqa: ANN401 - as typer has it
     """Return the option --count with a help text."""
-    return typer.Option("--count", "-n", parser=parsing.parse_count, metavar="COUNT", help=about)
+    return typer.Option(
+        "--count",
+        "-n",
+        parser=lambda text: parsing.parse_count(text, "--count"),
+        metavar="COUNT",
+        help=about,
+    )
 
 
 def of_parameter(

@@ -30,8 +30,12 @@ class Vector(NamedTuple):
     z: float
 
 
-def parse_vector(text: object) -> Vector:
+def parse_vector(text: object, option: str) -> Vector:
     """Parse three numbers from `x,y,z`; a default is returned as it is.
+
+    Args:
+        text: The value as typed, or the default.
+        option: The option, for the message.
 
     Raises:
         OptionError: They are not three finite numbers.
@@ -43,12 +47,12 @@ def parse_vector(text: object) -> Vector:
     except ValueError:
         x = y = z = math.nan
     if not all(map(math.isfinite, (x, y, z))):
-        raise OptionError(f"Three finite numbers are needed, such as 0,90,0, not {text!r}.")
+        raise OptionError(f"{option} takes three finite numbers, such as 0,90,0, not {text!r}.")
     return Vector(x, y, z)
 
 
 def parse_direction(text: str) -> Direction:
-    """Parse a direction from `x,y,z`.
+    """Parse a direction, that of --up, from `x,y,z`.
 
     Raises:
         OptionError: It is not three numbers, or all are zero.
@@ -56,9 +60,9 @@ def parse_direction(text: str) -> Direction:
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
-        raise OptionError(f"A direction is three numbers like 0,-1,0, not {text!r}.") from None
+        raise OptionError(f"--up takes three numbers like 0,-1,0, not {text!r}.") from None
     if x == y == z == 0 or not math.isfinite(x + y + z):
-        raise OptionError(f"A direction is finite and not 0,0,0, but {text!r} is given.")
+        raise OptionError(f"--up takes a direction, finite and not 0,0,0, but not {text!r}.")
     return Direction(x, y, z)
 
 
@@ -81,15 +85,19 @@ def parse_memory(text: str) -> int:
     return size
 
 
-def parse_count(text: str | int) -> int:
+def parse_count(text: str | int, option: str) -> int:
     """Parse a number of splats like `100000`, `100k` or `1.5M`; k, M and G are powers of 1000.
+
+    Args:
+        text: The value as typed, or the default.
+        option: The option, for the message.
 
     Raises:
         OptionError: It is not such a number, or not a whole one.
     """
     value = multiple(str(text), MULTIPLES)
     if value is None or value.denominator != 1:
-        raise OptionError(f"A count is a whole number like 100000, 100k or 1.5M, not {text!r}.")
+        raise OptionError(f"{option} takes a whole number like 100000, 100k or 1.5M, not {text!r}.")
     return int(value)
 
 
@@ -177,8 +185,12 @@ def _parse_names(text: str | None, option: str, what: str, example: str) -> list
     return names
 
 
-def parse_ratio(text: str) -> float:
+def parse_ratio(text: str, option: str) -> float:
     """Parse a ratio like `0.1` or `10%`.
+
+    Args:
+        text: The value as typed.
+        option: The option, for the message.
 
     Raises:
         OptionError: It is neither, or above 100%.
@@ -189,20 +201,20 @@ def parse_ratio(text: str) -> float:
     match = re.fullmatch(rf"({number})\s*(%?)", text.strip().lower())
     ratio = Fraction(match[1]) / (100 if match[2] else 1) if match else None
     if ratio is None or ratio > sys.float_info.max:
-        raise OptionError(f"A ratio or share is like 0.1 or 10%, not {text!r}.")
+        raise OptionError(f"{option} takes a number like 0.1 or 10%, not {text!r}.")
     if match and match[2] and ratio > 1:
-        raise OptionError(f"A ratio or share is at most 100%, not {text!r}.")
+        raise OptionError(f"{option} takes 100% or less, not {text!r}.")
     return float(ratio)
 
 
 def parse_ratios(text: str) -> tuple[float, ...]:
-    """Parse ratios like `0.5,0.25,0.1` or `50%,25%,10%`.
+    """Parse the ratios of --levels, like `0.5,0.25,0.1` or `50%,25%,10%`.
 
     Raises:
         OptionError: One of them is not a ratio.
     """
     try:
-        return tuple(parse_ratio(part) for part in text.split(","))
+        return tuple(parse_ratio(part, "--levels") for part in text.split(","))
     except OptionError:
         raise OptionError(
             f"Levels must be ratios up to 1, separated by commas, like 0.5,0.1, not {text!r}."

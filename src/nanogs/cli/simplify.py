@@ -26,7 +26,7 @@ def simplify(
         typer.Option(
             "--ratio",
             "-r",
-            parser=parsing.parse_ratio,
+            parser=lambda text: parsing.parse_ratio(text, "--ratio"),
             metavar="RATIO",
             help="Share of the splats to keep, e.g. 0.1 or 10%.",
         ),
@@ -55,7 +55,7 @@ def simplify(
         float | None,
         typer.Option(
             "--draw-cost",
-            parser=parsing.parse_ratio,
+            parser=lambda text: parsing.parse_ratio(text, "--draw-cost"),
             metavar="SHARE",
             help="Highest cost of drawing OUT, e.g. 0.5: splats a pixel as a share of those of IN,"
             " the column draws of `nanogs compare`; keeps as many splats as that allows.",
