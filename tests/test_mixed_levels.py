@@ -358,6 +358,18 @@ def test_the_command_reports_the_levels_of_each_view(scene, stream):
     assert "at seams" in shown.stdout
 
 
+def test_notes_of_reading_the_original_are_reported(scene, stream, tmp_path):
+    nanogs.save(nanogs.load(scene), tmp_path / "a.ply")
+    head, element, rest = (tmp_path / "a.ply").read_bytes().partition(b"\nelement ")
+    (tmp_path / "a.ply").write_bytes(head + b"\nobj_info one" + element + rest)
+    options = {"views": 1, "pixels": 32, "budget": 500}
+    [note] = nanogs.load(tmp_path / "a.ply").notes
+    assert "obj_info" in note
+    assert f"a.ply: {note}" in nanogs.compare_mixed(tmp_path / "a.ply", stream, **options).notes
+    in_memory = nanogs.compare_mixed(nanogs.load(tmp_path / "a.ply"), stream, **options).notes
+    assert not [each for each in in_memory if "obj_info" in each]
+
+
 def test_the_command_explains_why_no_levels_are_mixed(scene, stream):
     view_options = ("--views", 1, "--pixels", 32)
 

@@ -15,7 +15,7 @@ from nanogs.errors import FormatError, ModelError, OptionError
 from nanogs.findings import Finding, join_findings
 from nanogs.frames import change_frame
 from nanogs.io.in_order import in_order
-from nanogs.source import Filtered, InMemory, Joined, Reduced, Tagged, Turned, base
+from nanogs.source import Filtered, InMemory, Joined, Noted, Reduced, Tagged, Turned, base
 from nanogs.splats import ExtraElement
 from strategies import assert_same
 
@@ -218,6 +218,7 @@ def test_elements_are_read_separately_from_rows(tmp_path):
         lambda given: Turned(given, "rdf", "rub"),
         lambda given: Reduced(given, 0),
         lambda given: Tagged(given, "mip"),
+        Noted,
         lambda given: Joined([InMemory(random_splats(2)), given]),
     ],
 )
@@ -412,6 +413,25 @@ def test_notes_are_about_all_rows_once_however_these_are_read(tmp_path, small_pa
         assert notes_of_blocks(Joined([file, file]), 100) == expected
 
 
+def test_a_noted_source_keeps_the_notes_about_all_rows_once(tmp_path):
+    nanogs.save(random_splats(300), tmp_path / "a.splat")
+    rows = np.fromfile(tmp_path / "a.splat", np.float32).reshape(-1, 8)
+    rows[10:, 3:6] *= -1
+    rows.tofile(tmp_path / "a.splat")
+    with nanogs.open(tmp_path / "a.splat") as file:
+        source = Noted(file)
+        assert source.notes == ()
+        source.read(0, 100)  # by a reader that reads no further
+        assert source.notes == ("90 splats have a negative scale, which became NaN.",)
+        source.take([299, 0])
+        for step in (70, 300):
+            list(source.blocks(step))
+        whole = Noted(file)
+        assert_same(whole.load(), file.load())
+        assert source.notes == whole.notes == file.load().notes
+    assert source.notes == ("290 splats have a negative scale, which became NaN.",)
+
+
 @pytest.mark.parametrize(
     "made",
     [
@@ -419,6 +439,7 @@ def test_notes_are_about_all_rows_once_however_these_are_read(tmp_path, small_pa
         lambda given: Turned(given, "rdf", "rub"),
         lambda given: Reduced(given, 0),
         lambda given: Tagged(given, "mip"),
+        Noted,
         lambda given: Joined([given, given]),
     ],
 )

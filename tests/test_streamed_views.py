@@ -20,8 +20,8 @@ from nanogs.raster.rendering import prepare
 from nanogs.scoring.held_out import held_out
 from nanogs.source import InMemory
 from nanogs.splats import RenderMode, concatenate
+from nanogs.views import covering, streamed
 from nanogs.views import decimated as decimation
-from nanogs.views import streamed
 from nanogs.views.automatic import automatic_cameras
 from nanogs.views.cameras import cameras_for
 from nanogs.views.decimated import decimated
@@ -306,6 +306,31 @@ def test_the_command_compares_in_little_memory(pair, tmp_path, arena_budgets, ca
     assert command(*interactive) == 2
     assert "or leave the models out of the page (--no-interactive)" in stderr_line(capsys)
     assert not (tmp_path / "b.html").exists()
+
+
+def test_notes_of_reading_are_the_same_in_little_memory(
+    pair, tmp_path, arena_budgets, monkeypatch, capsys
+):
+    for module in (streamed, covering):
+        monkeypatch.setattr(module, "DRAWN_ROWS", 1000)
+    nanogs.save(make_scene(3000), tmp_path / "scene.splat")
+    rows = np.fromfile(tmp_path / "scene.splat", np.float32).reshape(-1, 8)
+    rows[[7, 2900], 3] *= -1
+    rows.tofile(tmp_path / "scene.splat")
+    note = "2 splats have a negative scale, which became NaN."
+    for words in (
+        ["compare", tmp_path / "scene.splat", pair[1]],
+        ["render", tmp_path / "scene.splat", tmp_path / "a", "-w"],
+    ):
+        arguments = [*words, "--pixels", "48", "--views", "3"]
+        said = []
+        for limit in ([], ["--max-memory", f"{LIBRARIES + 800_000}"]):
+            assert command(*arguments, *limit) == 0
+            said.append([line for line in capsys.readouterr().err.splitlines() if note in line])
+            assert bool(arena_budgets) == bool(limit)
+        arena_budgets.clear()
+        named = "scene.splat: " if words[0] == "compare" else ""
+        assert said == [[f"note: {named}{note}"]] * 2
 
 
 @pytest.mark.parametrize("open_model", [nanogs.open, InMemory])

@@ -77,6 +77,7 @@ def render(
     color = parsing.parse_background("black" if background is None else background)
     from nanogs.card.device import device_notes, use_device
     from nanogs.progress import Stage, Tracker
+    from nanogs.source import Noted
     from nanogs.threads import use_threads
     from nanogs.views.cameras import chosen_cameras, known_cameras
     from nanogs.views.costing import pictures_of
@@ -97,7 +98,7 @@ def render(
         with shown(quiet=run.hushed) as watch, use_threads(run.threads):
             progress = Tracker(watch, stages)
             progress.begin("read")
-            model = opened.load() if room is None else opened
+            model = opened.load() if room is None else Noted(opened)
             progress.begin("cameras")
             chosen, _ = chosen_cameras(model, wanted, count, (width, height), up)
             written, notes = render_images(
@@ -107,7 +108,7 @@ def render(
             progress.finish()
     said = f"{target}: {counted(len(written), 'image')}"
     report = {"input": str(source), "images": written, "device": used}
-    report["notes"] = [*opened.remarks, *notes, *device_notes(device, used)]
+    report["notes"] = [*model.notes, *notes, *device_notes(device, used)]
     run.report(report, partial(say, said), report["notes"])
 
 

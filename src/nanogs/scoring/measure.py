@@ -23,7 +23,7 @@ from nanogs.scoring.packed_models import (
     files_of,
     named,
     packing_notes,
-    remarks_on,
+    reading_notes,
     write_packed_files,
 )
 from nanogs.scoring.packing import PackingFormats
@@ -119,7 +119,8 @@ def measure(
         found = _on_photographs(ready, views, how, room, progress)
     else:
         found = _on_views(ready, views, how, room, progress)
-    notes = (*remarks_on(models), *other_frames(models), *packing_notes(models[1:], how.packing))
+    notes = reading_notes(models, [model for model in ready if not model.packed_as])
+    notes += (*other_frames(models), *packing_notes(models[1:], how.packing))
     notes += found.comparison.notes
     return found._replace(comparison=replace(found.comparison, notes=notes))
 

@@ -26,6 +26,7 @@ from nanogs.ranges import is_number, value_text
 from nanogs.raster.camera import camera_notes
 from nanogs.scoring.api import checked_names, names_of
 from nanogs.scoring.view_sets import ComparedViews, Pixels, compared_views
+from nanogs.splats import Splats
 from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
@@ -159,6 +160,8 @@ def compare_mixed(
         )
         tracker.begin("read")
         whole = as_splats(original)
+        if not isinstance(original, Splats):  # a model in memory has been read before
+            notes += [f"{called[0]}: {note}" for note in whole.notes]
         stream_levels = [read_levels(path) for path in paths]
         for found in requested.sets(whole):
             tracker.begin("render")

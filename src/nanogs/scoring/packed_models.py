@@ -16,7 +16,7 @@ from nanogs.scoring.packing import (
     refuse_too_large_to_pack,
     write_packed,
 )
-from nanogs.source import Source, source_of
+from nanogs.source import Noted, Source, source_of
 from nanogs.splats import Splats
 
 if TYPE_CHECKING:
@@ -97,14 +97,22 @@ def _already(source: Splats | Source, suffix: str) -> str:
     )
 
 
-def remarks_on(models: Sequence[tuple[str, Splats | Source]]) -> tuple[str, ...]:
-    """Return the files' remarks on values that differ from the stored ones, prefixed by names."""
-    return tuple(
-        f"{name}: {remark}"
-        for name, source in models
-        if isinstance(source, FileSource)
-        for remark in source.remarks
-    )
+def reading_notes(
+    given: Sequence[tuple[str, Splats | Source]], models: Sequence["NamedModel"]
+) -> tuple[str, ...]:
+    """Return the notes that reading files gave, prefixed by the names of the models.
+
+    Args:
+        given: Names and models; those in memory have been read before, and are left out.
+        models: What `named` made of all of them, after it was rendered.
+    """
+    notes = [
+        f"{name}: {note}"
+        for (name, source), model in zip(given, models, strict=True)
+        if isinstance(source, FileSource) and isinstance(model.splats, Splats | Noted)
+        for note in model.splats.notes
+    ]
+    return tuple(dict.fromkeys(notes))
 
 
 def named(name: str, source: Splats | Source, packed: str, whole: bool) -> "NamedModel":
@@ -119,4 +127,5 @@ def named(name: str, source: Splats | Source, packed: str, whole: bool) -> "Name
     from nanogs.scoring.comparison import NamedModel
 
     file_bytes = source.info.file_bytes if isinstance(source, FileSource) else None
-    return NamedModel(name, source_of(source).load() if whole else source, file_bytes, packed)
+    opened = source_of(source)
+    return NamedModel(name, opened.load() if whole else Noted(opened), file_bytes, packed)

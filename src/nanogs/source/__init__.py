@@ -1,12 +1,12 @@
 """Models that are read some rows at a time: in memory, in a file, joined, filtered or turned.
 
 Every reader of a file gives a `Source`; `load` reads all its rows. `Joined`, `Filtered`, `Turned`,
-`Posed`, `Reduced` and `Tagged` are lazy: they change rows when these are read, and hold none. What
-depends on a format is in `io`.
+`Posed`, `Reduced` and `Tagged` are lazy: they change rows when these are read, and hold none.
+`Noted` changes none, and keeps their notes. What depends on a format is in `io`.
 """
 
 from nanogs.source.base import Layout, Source, joined_rows, span_of
-from nanogs.source.changed import Filtered, Posed, Reduced, Tagged, Turned, turned_source
+from nanogs.source.changed import Filtered, Noted, Posed, Reduced, Tagged, Turned, turned_source
 from nanogs.source.joined import Joined, fitted, joined_layout
 from nanogs.source.whole import InMemory, refuse_no_model, source_of
 
@@ -15,6 +15,7 @@ __all__ = [
     "InMemory",
     "Joined",
     "Layout",
+    "Noted",
     "Posed",
     "Reduced",
     "Source",

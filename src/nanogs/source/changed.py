@@ -17,6 +17,7 @@ from nanogs.filters import (
     refuse_empty,
     refuse_whole,
 )
+from nanogs.findings import join_findings
 from nanogs.frames import change_between, change_frame, comments_in
 from nanogs.pose import Pose
 from nanogs.slices import overlapping
@@ -134,6 +135,48 @@ class Tagged(_Mapped):
         mode = RenderMode(mode)
         super().__init__(source, lambda rows: replace(rows, render_mode=mode))
         self.columns = replace(self.columns, render_mode=mode.value)
+
+
+class Noted(_Changed):
+    """A model that keeps the notes about its rows, once they have been read.
+
+    A reader may go through all rows in order, or load the model; others may read some rows before.
+
+    Args:
+        source: The model.
+    """
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self._found: list[Sequence[str]] = []
+        self._end = 0  # number of the first rows that `_found` is about
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The notes about all rows, or about the first ones as far as they have been read."""
+        return join_findings([self.columns.notes, *self._found])
+
+    def _span(self, start: int, stop: int) -> Splats:
+        """Read rows `start` to `stop`; see `Source.read`."""
+        rows = self._source.read(start, stop)
+        if self._end < self.count:
+            if start == 0:  # a reader begins, perhaps after another that has not read everything
+                self._found.clear()
+                self._end = 0
+            if start == self._end:
+                self._found.append(rows.notes)
+                self._end = stop
+        return rows
+
+    def _take(self, rows: I64) -> Splats:
+        """Read rows by number; see `Source.take`."""
+        return self._source.take(rows)
+
+    def load(self) -> Splats:
+        """Read the whole model."""
+        splats = self._source.load()
+        self._found, self._end = [splats.notes], self.count
+        return splats
 
 
 class Filtered(_Changed):
