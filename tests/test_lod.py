@@ -638,3 +638,17 @@ def test_every_level_has_at_least_one_splat():
     """Every level has at least one splat, however small the ratio."""
     levels = nanogs.levels(random_splats(3), [0.5, 0.1, 0.001], preset="fast")
     assert [len(small) for small, _ in levels] == [2, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("splats", "counts", "notes"),
+    [
+        (1, [1, 1, 1, 1], ["Levels 0 to 3 have 1 splat each; fewer levels would do."]),
+        (2, [2, 1, 1, 1], ["Levels 1 to 3 have 1 splat each; fewer levels would do."]),
+        (8, [8, 4, 2, 1], []),
+    ],
+)
+def test_equal_levels_of_a_tiny_model_are_noted(tmp_path, splats, counts, notes):
+    manifest, _ = write_levels(random_splats(splats), tmp_path / "l", preset="fast")
+    assert [level.count for level in manifest.levels] == counts
+    assert [note for note in manifest.notes if note.startswith("Levels")] == notes

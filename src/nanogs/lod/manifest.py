@@ -3,9 +3,11 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from nanogs.formatting import counted
 from nanogs.io.generator import GENERATOR
 from nanogs.io.json_fields import is_plain
 from nanogs.io.registry import LEVEL_LIST
@@ -137,6 +139,7 @@ def describe_levels(
     """
     first = reports[0]
     notes = [note for report in reports for note in report.notes]
+    notes += _equal_levels([report.achieved_count for report in reports])
     for level, each in enumerate(written):
         # Losses of coarser levels are listed only if a finer one does not have the same.
         prefix = f"Level {level}: " if level else ""
@@ -156,6 +159,18 @@ def describe_levels(
         protocol=next((each.scores.protocol for each in written if each.scores), None),
         environment=EnvironmentFile(*beside) if beside else None,
     )
+
+
+def _equal_levels(counts: Sequence[int]) -> list[str]:
+    """Return a note for each run of levels of one count, as a model of very few splats has."""
+    notes, first = [], 0
+    for count, run in groupby(counts):
+        last = first + len(list(run)) - 1
+        if last > first:
+            each = counted(count, "splat")
+            notes.append(f"Levels {first} to {last} have {each} each; fewer levels would do.")
+        first = last + 1
+    return notes
 
 
 def _seen_note(level: int, switch: SwitchQuality) -> str:
