@@ -22,13 +22,13 @@ from nanogs.splats import Splats
 from nanogs.views import inside, orbit
 from nanogs.views.heading import seen_from, without_surroundings
 from nanogs.views.occupancy import Core, SplatSample, find_core, sample
+from nanogs.views.poses import UP
 from nanogs.views.up import detect_up, stated_up
 from nanogs.views.up_frame import ALL_AROUND, UPRIGHT, frame_from_model, frame_from_up
 
 Kind = Literal["auto", "orbit", "inside"]
 Split = Literal["fit", "test"]
 
-UP = (0.0, 0.0, 1.0)  # in the model's own frame
 ORBIT_FOV = 50.0  # degrees, along the longer side
 INSIDE_FOV = 75.0
 
@@ -145,10 +145,9 @@ def cameras_of(
 
 
 def _poses(scene: Survey, tangents: F64, numbers: I64) -> list[tuple[F64, float]]:
-    up = np.array(UP)
     if scene.kind == "orbit":
-        return orbit.poses(scene.orbit, up, tangents, numbers, scene.band)
-    return inside.poses(scene.sampled, scene.core, up, tangents, numbers)
+        return orbit.poses(scene.orbit, tangents, numbers, scene.band)
+    return inside.poses(scene.sampled, scene.core, tangents, numbers)
 
 
 def survey(
@@ -183,7 +182,7 @@ def survey(
     sampled = seen_from(sampled, camera_frame.frame)
     core = find_core(sampled)
     if kind == "auto":
-        room = camera_frame.band == UPRIGHT and inside.is_room(sampled, core, np.array(UP))
+        room = camera_frame.band == UPRIGHT and inside.is_room(sampled, core, UP)
         kind = "inside" if room else "orbit"
     return Survey(sampled, core, orbit.find_orbit(sampled, core), turn, kind, camera_frame.band)
 

@@ -7,7 +7,7 @@ import numpy as np
 from nanogs._types import F64, I64, Bool
 from nanogs.activations import rotation_about
 from nanogs.views.occupancy import Core, SplatSample, build_grid, capped, quantiles
-from nanogs.views.poses import level_frame, look_along, low_discrepancy, view_hits
+from nanogs.views.poses import UP, level_frame, look_along, low_discrepancy, view_hits
 
 SLAB = 0.08  # thickness of a wall over the size of the room
 WALL_SHARE = 0.55  # least share of a room's area in its six walls; a sphere has 0.48
@@ -87,9 +87,7 @@ def _box(points: F64, areas: F64, frame: F64) -> Box:
     return Box(frame, low, high, np.array(faces), share(outermost < 0.5 - 2 * SLAB))
 
 
-def poses(
-    sampled: SplatSample, core: Core, up: F64, tangents: F64, numbers: I64
-) -> list[tuple[F64, float]]:
+def poses(sampled: SplatSample, core: Core, tangents: F64, numbers: I64) -> list[tuple[F64, float]]:
     """Compute the (4, 4) world-to-camera matrix and near plane of each view.
 
     Each view is the best of its own block of poses in a low-discrepancy sequence, so that views of
@@ -98,12 +96,11 @@ def poses(
     Args:
         sampled: The model.
         core: The room.
-        up: (3,) float64, unit.
         tangents: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, numbers of the views in the sequence, 0 or more.
     """
     grid = build_grid(sampled, core.centre, GRID_HALF * core.radius)
-    box = fit_box(sampled, core, up)
+    box = fit_box(sampled, core, UP)
     views = []
     for number in numbers.tolist():
         tries = low_discrepancy(number * TRIES + np.arange(TRIES), 5)

@@ -9,7 +9,7 @@ from nanogs._types import F64
 from nanogs.raster.camera import Camera
 from nanogs.splats import Splats
 from nanogs.views import inside
-from nanogs.views.automatic import INSIDE_FOV, ORBIT_FOV, UP, Kind, Survey, survey
+from nanogs.views.automatic import INSIDE_FOV, ORBIT_FOV, Kind, Survey, survey
 from nanogs.views.occupancy import build_grid
 from nanogs.views.orbit import overview
 from nanogs.views.poses import view_hits
@@ -65,10 +65,10 @@ def opening_for(
     lens = float(np.tan(np.radians(angle / 2)))
     square = np.full(2, lens)
     if scene.kind == "orbit":
-        pose, near = overview(scene.orbit, np.array(UP), square)
+        pose, near = overview(scene.orbit, square)
         return _opening(scene, pose, lens, near, _ahead(pose, scene.orbit.centre))
     first = np.zeros(1, np.int64)
-    [(pose, near)] = inside.poses(scene.sampled, scene.core, np.array(UP), square, first)
+    [(pose, near)] = inside.poses(scene.sampled, scene.core, square, first)
     return _opening(scene, pose, lens, near, _depth(scene, pose, square))
 
 

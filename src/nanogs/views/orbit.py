@@ -11,7 +11,7 @@ import numpy as np
 
 from nanogs._types import F64, I64
 from nanogs.views.occupancy import Core, Grid, SplatSample, build_grid, quantiles
-from nanogs.views.poses import level_frame, look_at, low_discrepancy, view_hits
+from nanogs.views.poses import UP, level_frame, look_at, low_discrepancy, view_hits
 
 GRID_HALF = 4.0  # half-width of the grid in radii: contains almost all orbits
 HELD = 0.9  # share of the core's alpha within the radius
@@ -57,13 +57,12 @@ def find_orbit(sampled: SplatSample, core: Core) -> Orbit:
 
 
 def poses(
-    orbit: Orbit, up: F64, tangents: F64, numbers: I64, band: tuple[float, float]
+    orbit: Orbit, tangents: F64, numbers: I64, band: tuple[float, float]
 ) -> list[tuple[F64, float]]:
     """Compute the (4, 4) world-to-camera matrix and near plane of cameras of the orbit.
 
     Args:
         orbit: What they look at.
-        up: (3,) float64, unit.
         tangents: (2,) float64, tangents of half the fields of view.
         numbers: (n,) int64, members of the sequence of directions.
         band: Lowest and highest elevation, radians.
@@ -74,14 +73,14 @@ def poses(
     elevation = np.arcsin(lowest + lift * (highest - lowest))  # uniform over the band's area
     distance = NEAREST * (FARTHEST / NEAREST) ** pull * orbit.radius / tangents.min()
     places = zip((2 * np.pi * turn).tolist(), elevation.tolist(), distance.tolist(), strict=True)
-    return [_unblocked(orbit, level_frame(up), tangents, *place) for place in places]
+    return [_unblocked(orbit, tangents, *place) for place in places]
 
 
-def overview(orbit: Orbit, up: F64, tangents: F64) -> tuple[F64, float]:
+def overview(orbit: Orbit, tangents: F64) -> tuple[F64, float]:
     """Return the pose and near plane of a view of the whole model; the arguments are as above."""
     azimuth, elevation, distance = OVERVIEW
     distance *= orbit.radius / float(tangents.min())
-    return _unblocked(orbit, level_frame(up), tangents, azimuth, elevation, distance)
+    return _unblocked(orbit, tangents, azimuth, elevation, distance)
 
 
 def _focus(sampled: SplatSample, core: Core) -> tuple[F64, float]:
@@ -100,17 +99,13 @@ def _focus(sampled: SplatSample, core: Core) -> tuple[F64, float]:
 
 
 def _unblocked(
-    orbit: Orbit,
-    frame: F64,
-    tangents: F64,
-    azimuth: float,
-    elevation: float,
-    distance: float,
+    orbit: Orbit, tangents: F64, azimuth: float, elevation: float, distance: float
 ) -> tuple[F64, float]:
     """Return pose and near plane of the first unblocked camera of a few, or the least blocked.
 
     Those tried are ever nearer or higher.
     """
+    frame = level_frame(UP)
     tried: list[tuple[float, F64, float]] = []
     for pull, climb in DETOURS:
         lift = max(elevation, min(elevation + climb, STEEPEST))

@@ -7,6 +7,7 @@ import numpy as np
 from nanogs._types import F64, F
 from nanogs.views.occupancy import Grid
 
+UP = np.array([0.0, 0.0, 1.0])  # in the model's own frame
 RAYS = 9  # rays along each side of a candidate view
 _SIDE = (np.arange(RAYS) + 0.5) / RAYS * 2 - 1
 # (RAYS², 3) directions of a regular grid over an image with tangents of 1, in camera space.
