@@ -133,11 +133,12 @@ def roaming_cameras(
     refuse_other(splats)
     if not isinstance(split, str):
         raise OptionError(f"The split of views must be a name, not {split!r}.")
-    test_camera = _test_camera(count, width, height, FOV if fov is None else fov)
+    check_views(count, width, height, fov)
+    small = _small_camera(width, height, FOV if fov is None else fov)
     scene = _scene(splats, up)
     with use_device(CPU):  # the rounding of another device can find other cameras
         known = _begin(scene, splats, up, split)
-        for candidate in _candidates(scene, known, test_camera, split, TRIES * count):
+        for candidate in _candidates(scene, known, small, split, TRIES * count):
             _add_if_accepted(scene, known, candidate)
             if len(known.cameras) == count:
                 break
@@ -152,9 +153,8 @@ def roaming_cameras(
     ]
 
 
-def _test_camera(count: int, width: int, height: int, fov: float) -> Camera:
-    """Make the camera, at the origin, with the low resolution that candidates are tested at."""
-    check_views(count, width, height, fov)
+def _small_camera(width: int, height: int, fov: float) -> Camera:
+    """Make a camera, at the origin, with few pixels in all, as candidates are tested by."""
     focal = SIZE / 2 / np.tan(np.radians(fov) / 2)
     wide, high = (max(1, round(side * SIZE / max(width, height))) for side in (width, height))
     along, down = (side * SIZE / max(width, height) for side in (width, height))
@@ -201,9 +201,17 @@ def _add(known: SearchState, place: F64, contributions: F64) -> None:
 
 
 def _candidates(
-    scene: SearchedModel, known: SearchState, test_camera: Camera, split: str, tries: int
+    scene: SearchedModel, known: SearchState, small: Camera, split: str, tries: int
 ) -> Iterator[Candidate]:
-    """Draw candidates: targets, directions and distances; `known` may grow during the iteration."""
+    """Draw candidates: targets, directions and distances; `known` may grow during the iteration.
+
+    Args:
+        scene: The model.
+        known: The state of the search.
+        small: The camera, from `_small_camera`, that is placed.
+        split: Seeds the random numbers.
+        tries: Number of candidates to draw; those too far away are left out.
+    """
     random = np.random.default_rng(zlib.crc32(split.encode()))
     found, summed = -1, np.zeros(1)
     for draw in random.random((tries, 4)):
@@ -217,7 +225,7 @@ def _candidates(
         position = target + distance * _direction(draw[1], draw[2]) @ scene.frame
         if np.linalg.norm(position - scene.centre) <= AWAY * scene.radius:
             pose = look_at(position, target, scene.frame[2])
-            camera = replace(test_camera, world_to_camera=pose, near=NEAR * distance)
+            camera = replace(small, world_to_camera=pose, near=NEAR * distance)
             yield Candidate(camera, target, distance)
 
 
