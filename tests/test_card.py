@@ -181,7 +181,7 @@ def test_sums_of_light_agree(count):
             sums.add(light, 0.5)
         picture, light = render_with_light(prepared, cameras[0], depth=True)
         assert light.total(count // 2) == pytest.approx(light.contributions()[: count // 2].sum())
-        return sums.seen(), sums.whole(), sums.times(), picture.color, picture.depth
+        return sums.contributions(), sums.unoccluded(), sums.times(), picture.color, picture.depth
 
     on_card = summed()
     with use_device("cpu"):

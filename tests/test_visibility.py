@@ -59,8 +59,8 @@ def test_light_is_added_in_all_slices(monkeypatch, rows):
     light = LightSums(20)
     for _ in range(3):
         light.add(HostLight(seen, whole), 0.01)
-    assert np.array_equal(light.seen(), 3 * seen)
-    assert np.array_equal(light.whole(), 3 * whole)
+    assert np.array_equal(light.contributions(), 3 * seen)
+    assert np.array_equal(light.unoccluded(), 3 * whole)
     assert light.times().tolist() == [0] + [2] * 19
     views = [Camera(3, 2, 1.0, 1.0, 0.0, 0.0, np.eye(4))] * 3
     summed = contributions_of(light, views)

@@ -12,14 +12,14 @@ class CardSums:
     """The light of N splats summed over views; see `nanogs.raster.light.LightSums`.
 
     Attributes:
-        seen: (N,) float64 on the device, sum of what was added of the contributions.
-        whole: (N,) float64 on the device, sum of the unoccluded light.
+        contributions: (N,) float64 on the device, sum of the views' contributions.
+        unoccluded: (N,) float64 on the device, sum of the views' unoccluded light.
         times: (N,) uint8 on the device, number of views that show each, more than one as 2.
     """
 
     def __init__(self, engine: "Engine", count: int) -> None:
         self._engine = engine
-        self.seen, self.whole, self.times = (
+        self.contributions, self.unoccluded, self.times = (
             wp.zeros(count, dtype=kind, device=engine.device)
             for kind in (wp.float64, wp.float64, wp.uint8)
         )
@@ -28,7 +28,7 @@ class CardSums:
         """Add a view, which counts as showing a splat from a share `shown` of its light."""
         self._engine.launch(
             add_light, view.count, view.sums_of_weights(), view.sums_unoccluded(), shown,
-            self.seen, self.whole, self.times,
+            self.contributions, self.unoccluded, self.times,
         )  # fmt: skip
 
 

@@ -57,7 +57,7 @@ def missed_light_of(looked: SplatContributions, count: int) -> MissedLight:
     """
     picture = looked.pixels / max(looked.views, 1) or 1.0
     times = looked.times[:count]
-    seen, whole = looked.seen[:count] / picture, looked.whole[:count] / picture
+    seen, whole = looked.contributions[:count] / picture, looked.unoccluded[:count] / picture
     return MissedLight(
         float(seen[times == 1].sum()), float(seen.sum()), float(whole[times == 0].sum())
     )

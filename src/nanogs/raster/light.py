@@ -89,7 +89,7 @@ class LightSums:
         engine = engine_in_use()
         self._on_card: CardSums | None = None if engine is None else engine.sums(count)
         held = count if engine is None else 0
-        self._seen, self._whole = np.zeros(held), np.zeros(held)
+        self._contributions, self._unoccluded = np.zeros(held), np.zeros(held)
         self._times = np.zeros(held, np.uint8)
 
     def add(self, view: SplatLight, shown: float) -> None:
@@ -100,27 +100,28 @@ class LightSums:
         if not isinstance(view, HostLight):
             self._sums_on_card().add(view, shown)
             return
-        seen, whole = view.contributions(), view.unoccluded()
+        contributions, unoccluded = view.contributions(), view.unoccluded()
 
         def include(rows: slice) -> None:
-            self._seen[rows] += seen[rows]
-            self._whole[rows] += whole[rows]
-            self._times[rows] += seen[rows] > shown * whole[rows]
+            self._contributions[rows] += contributions[rows]
+            self._unoccluded[rows] += unoccluded[rows]
+            self._times[rows] += contributions[rows] > shown * unoccluded[rows]
             np.minimum(self._times[rows], 2, out=self._times[rows])
 
-        parallel.for_each(slices(len(seen), SLICE_STEPS), include)
+        parallel.for_each(slices(len(contributions), SLICE_STEPS), include)
 
     def _sums_on_card(self) -> "CardSums":
         assert self._on_card is not None  # noqa: S101 - the device has not changed
         return self._on_card
 
-    def seen(self) -> F64:
-        """Return (N,) float64, the sum of what was added of the contributions."""
-        return self._seen if self._on_card is None else self._on_card.seen.numpy()
+    def contributions(self) -> F64:
+        """Return (N,) float64, the sum of the views' contributions."""
+        on_card = self._on_card
+        return self._contributions if on_card is None else on_card.contributions.numpy()
 
-    def whole(self) -> F64:
-        """Return (N,) float64, the sum of the unoccluded light."""
-        return self._whole if self._on_card is None else self._on_card.whole.numpy()
+    def unoccluded(self) -> F64:
+        """Return (N,) float64, the sum of the views' unoccluded light."""
+        return self._unoccluded if self._on_card is None else self._on_card.unoccluded.numpy()
 
     def times(self) -> U8:
         """Return (N,) uint8, the number of views that show each, more than one as 2."""

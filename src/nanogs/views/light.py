@@ -15,26 +15,29 @@ SHOWN = 0.01  # visibility from which a splat counts as shown
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatContributions:
-    """The light of N splats, summed over views: contributions, with and without occlusion.
+    """The light of N splats, summed over views, with and without occlusion.
 
     Attributes:
-        seen: (N,) float64, sum of transmittance x alpha over all pixels.
-        whole: (N,) float64, about the same without other splats in front.
+        contributions: (N,) float64, sum of transmittance x alpha over all pixels.
+        unoccluded: (N,) float64, about the same without other splats in front.
         times: (N,) uint8, number of views that show each, more than one as 2.
         views: Number of views.
         pixels: Number of pixels of all views.
     """
 
-    seen: F64
-    whole: F64
+    contributions: F64
+    unoccluded: F64
     times: U8
     views: int
     pixels: int
 
     def shares(self) -> F64:
-        """Return (N,) float64 visibilities in [0, 1]: `seen` over `whole`; 0 outside all views."""
-        shares = np.zeros(len(self.seen))
-        np.divide(self.seen, self.whole, out=shares, where=self.whole > 0)
+        """Return (N,) float64 visibilities in [0, 1], `contributions` over `unoccluded`.
+
+        They are 0 outside all views.
+        """
+        shares, whole = np.zeros(len(self.contributions)), self.unoccluded
+        np.divide(self.contributions, whole, out=shares, where=whole > 0)
         return np.minimum(shares, 1.0, out=shares)
 
 
@@ -49,7 +52,9 @@ def light_in(prepared: PreparedSplats, cameras: Sequence[Camera]) -> SplatContri
 def contributions_of(light: LightSums, cameras: Sequence[Camera]) -> SplatContributions:
     """Return the sums of the light in the views of some cameras."""
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return SplatContributions(light.seen(), light.whole(), light.times(), len(cameras), pixels)
+    return SplatContributions(
+        light.contributions(), light.unoccluded(), light.times(), len(cameras), pixels
+    )
 
 
 def visibility_of(
@@ -64,11 +69,11 @@ def visibility_of(
     Returns:
         (N,) float64 visibilities in [0, 1], and (N,) bool, True outside all views.
     """
-    visible, missed = looked.shares(), looked.whole == 0
+    visible, missed = looked.shares(), looked.unoccluded == 0
     visible[missed] = 1.0
     if around is not None:
         np.maximum(visible, around.shares(), out=visible)
-        missed &= around.whole == 0
+        missed &= around.unoccluded == 0
     return visible, missed
 
 
