@@ -75,16 +75,17 @@ def test_pictures_are_scaled_by_the_size_of_a_pixel_in_the_scene(splats, camera)
     views = switch_views(splats, [camera])
     depth = render(prepare(splats), camera, depth=True)
     pixel_size = np.median(depth.depth[depth.alpha > 0.5]) / camera.fx
-    assert views.pixels[0] == pytest.approx(pixel_size, rel=1e-3)
-    found = views.judge(splats, 2 * views.pixels[0])
-    assert astuple(found) == (distance_of(2 * views.pixels[0]), math.inf, pytest.approx(1), 1, 48)
+    [footprint] = views.footprints
+    assert footprint == pytest.approx(pixel_size, rel=1e-3)
+    found = views.judge(splats, 2 * footprint)
+    assert astuple(found) == (distance_of(2 * footprint), math.inf, pytest.approx(1), 1, 48)
     assert not found.seen
 
 
 def test_scores_are_those_of_pictures_from_the_switch_distance(splats, camera):
     small, _ = nanogs.simplify(splats, ratio=0.1, preset="fast")
     views = switch_views(splats, [camera])
-    found = views.judge(small, views.pixels[0] / 2)
+    found = views.judge(small, views.footprints[0] / 2)
     alone = nanogs.compare(splats, small, cameras=magnified(camera, 2))
     assert (found.psnr, found.ssim) == (alone.models[0].psnr, alone.models[0].ssim)
     assert found.pixels == 96

@@ -34,15 +34,14 @@ class SwitchViews:
     Attributes:
         original: The model; a source is read some rows at a time.
         cameras: The views in which something opaque is visible.
-        pixels: For each view the scene units that a pixel covers at the median depth of opaque
-            pixels.
+        footprints: Width of a pixel of each view at the median depth of opaque pixels, scene units.
         max_memory: Bytes that this process may take if models are read some rows at a time; by
             default the free memory.
     """
 
     original: Splats | Source
     cameras: Sequence[Camera]
-    pixels: Sequence[float]
+    footprints: Sequence[float]
     max_memory: int | None = None
 
     def judge(self, level: Splats | Source, pixel: float) -> SwitchQuality | None:
@@ -56,7 +55,7 @@ class SwitchViews:
             FormatError: A source cannot be read.
             NotEnoughMemoryError: There is not enough memory to render a source.
         """
-        pairs = zip(self.cameras, self.pixels, strict=True)
+        pairs = zip(self.cameras, self.footprints, strict=True)
         cameras = [magnified(camera, shown / pixel) for camera, shown in pairs]
         drawn = as_drawn(self.original, self.max_memory)
         try:
@@ -94,8 +93,8 @@ def switch_views(
             found.append((camera, float(np.median(opaque)) / camera.fx))
     if not found:
         raise ModelError("No view shows anything opaque, so that no distance is known.")
-    kept, pixels = zip(*found, strict=True)
-    return SwitchViews(original, kept, pixels, max_memory)
+    kept, footprints = zip(*found, strict=True)
+    return SwitchViews(original, kept, footprints, max_memory)
 
 
 def magnified(camera: Camera, factor: float) -> Camera:
