@@ -15,7 +15,7 @@ from nanogs.errors import OptionError
 from nanogs.formatting import number_text
 from nanogs.protocol import usual_views
 from nanogs.scoring.run import compare_files
-from nanogs.scoring.view_sets import parse_sources, view_sets
+from nanogs.scoring.view_sets import parse_kinds, view_sets
 from test_cli import run
 
 SCENE = make_scene(1500)
@@ -71,10 +71,10 @@ def test_fewer_views_than_requested_are_noted(monkeypatch):
 
 
 def test_sources_are_kinds_or_one_path():
-    assert parse_sources("auto, roam") == ["auto", "roam"]
-    assert parse_sources("a,b.json") == ["a,b.json"]
+    assert parse_kinds("auto, roam") == ["auto", "roam"]
+    assert parse_kinds("a,b.json") == ["a,b.json"]
     with pytest.raises(OptionError, match="'orbti' is not a kind of cameras"):
-        parse_sources("auto,orbti")
+        parse_kinds("auto,orbti")
 
 
 @pytest.mark.parametrize(

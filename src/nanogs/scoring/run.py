@@ -135,8 +135,8 @@ def compare_files(
 
 def _first_view(seen: ComparedViews | Photographs, found: ScoredModels) -> "Kind | Camera":
     """Return the view that the page's viewer opens with: of the first kind, or the first camera."""
-    if isinstance(seen, ComparedViews) and seen.sources:
-        return KINDS.get(seen.sources[0], "auto")
+    if isinstance(seen, ComparedViews) and seen.kinds:
+        return KINDS.get(seen.kinds[0], "auto")
     return found.cameras[0]
 
 

@@ -49,15 +49,15 @@ class ComparedViews:
     """Views before any is computed: cameras, or else kinds and sizes of automatic views.
 
     Attributes:
-        cameras: The views themselves; empty if there are sources.
-        sources: Kinds of automatic views.
+        cameras: The views themselves; empty if there are kinds of automatic views.
+        kinds: Kinds of automatic views.
         sizes: Sizes of automatic views.
         count: Number of automatic views of each kind; None for the usual number.
         up: (3,) up direction of automatic views; None to find it from the original.
     """
 
     cameras: Sequence[Camera]
-    sources: Sequence[str] = ()
+    kinds: Sequence[str] = ()
     sizes: Sequence[Size] = ()
     count: int | None = None
     up: Sequence[float] | None = field(default=None, compare=False)
@@ -65,7 +65,7 @@ class ComparedViews:
     @property
     def counts(self) -> list[int]:
         """Number of views of each set of one size."""
-        return [len(self.cameras)] if self.cameras else found_views(self.sources, self.count)
+        return [len(self.cameras)] if self.cameras else found_views(self.kinds, self.count)
 
     @property
     def pixels(self) -> list[int]:
@@ -96,7 +96,7 @@ class ComparedViews:
         """Return the sets of views; automatic ones are computed from the model."""
         if self.cameras:
             return [ViewSet(self.cameras, "given")]
-        return view_sets(model, self.sources, self.sizes, views=self.count, up=self.up)
+        return view_sets(model, self.kinds, self.sizes, views=self.count, up=self.up)
 
 
 def compared_views(
@@ -107,27 +107,27 @@ def compared_views(
 ) -> ComparedViews:
     """Parse the views that are requested; arguments and errors are those of `nanogs.compare`."""
     names, count = one_or_several(cameras), None if views is None else view_count(views)
-    sources = [fspath(name) for name in names if isinstance(name, str | PathLike)]
+    kinds = [fspath(name) for name in names if isinstance(name, str | PathLike)]
     several = pixels if isinstance(pixels, list) else [pixels]
-    if not sources or len(sources) < len(names):
+    if not kinds or len(kinds) < len(names):
         found = ComparedViews(given_cameras(names))
     else:
-        found = views_from(sources, [picture_size(size) for size in several], count, up)
+        found = views_from(kinds, [picture_size(size) for size in several], count, up)
     if found.cameras:
         refuse_beside_given(up, count, several)
     return found
 
 
 def views_from(
-    sources: Sequence[str],
+    kinds: Sequence[str],
     sizes: Sequence[Size],
     count: int | None = None,
     up: Sequence[float] | None = None,
 ) -> ComparedViews:
-    """Return the views of some sources; cameras of a file are read, since they take memory.
+    """Return automatic views of some kinds, or cameras of a file, read now as they take memory.
 
     Args:
-        sources: One text as for `parse_sources`, or several kinds of automatic views.
+        kinds: Kinds of automatic views, or one text as for `parse_kinds`.
         sizes: Sizes of automatic views.
         count: Number of automatic views of each kind; None for the usual number.
         up: (3,) up direction of automatic views, or None.
@@ -135,7 +135,7 @@ def views_from(
     Raises:
         NanogsError: As for `view_sets`, or a camera file cannot be read.
     """
-    names = parse_sources(sources[0]) if len(sources) == 1 else list(sources)
+    names = parse_kinds(kinds[0]) if len(kinds) == 1 else list(kinds)
     _refuse(names, sizes)
     if len(names) == 1 and names[0] not in FOUND:
         return ComparedViews(cameras_from(names[0]))
@@ -176,7 +176,7 @@ def refuse_beside_photos(photos: str | PathLike[str] | None, *, views: bool) -> 
         )
 
 
-def parse_sources(text: str) -> list[str]:
+def parse_kinds(text: str) -> list[str]:
     """Split kinds of cameras at commas, such as "auto,roam"; anything else is the path of a file.
 
     Raises:
@@ -193,55 +193,54 @@ def parse_sources(text: str) -> list[str]:
     return [text] if others else names
 
 
-def found_views(sources: Sequence[str], views: int | None) -> list[int]:
-    """Return the number of views requested of each source; 0 for a camera file."""
+def found_views(kinds: Sequence[str], views: int | None) -> list[int]:
+    """Return the number of views requested of each kind; 0 for a camera file in its place."""
     return [
-        0 if source not in FOUND else usual_views(source) if views is None else views
-        for source in sources
+        0 if kind not in FOUND else usual_views(kind) if views is None else views for kind in kinds
     ]
 
 
 def view_sets(
     model: Splats | Source,
-    sources: Sequence[str],
+    kinds: Sequence[str],
     sizes: Sequence[Size],
     *,
     views: int | None = None,
     up: Sequence[float] | None = None,
 ) -> list[ViewSet]:
-    """Return test views of each source at each size, in that order.
+    """Return test views of each kind at each size, in that order.
 
-    The views of a source are the same at all sizes of one aspect ratio.
+    The views of a kind are the same at all sizes of one aspect ratio.
 
     Args:
         model: The original.
-        sources: Names in `nanogs.views.cameras.FOUND`, or one camera file.
+        kinds: Names in `nanogs.views.cameras.FOUND`, or in their place one camera file.
         sizes: Sizes of automatic views.
-        views: Number of views of each source; None for the usual number.
+        views: Number of views of each kind; None for the usual number.
         up: (3,) up direction of automatic views; by default found from the original.
 
     Raises:
-        NanogsError: A source or a size is given twice, several sizes are given with a camera file,
+        NanogsError: A kind or a size is given twice, several sizes are given with a camera file,
             or cameras cannot be found or read.
     """
-    _refuse(sources, sizes)
-    counts = found_views(sources, views)
+    _refuse(kinds, sizes)
+    counts = found_views(kinds, views)
     return [
         made
-        for source, count in zip(sources, counts, strict=True)
-        for made in _of_source(model, source, sizes, count, up)
+        for kind, count in zip(kinds, counts, strict=True)
+        for made in _of_kind(model, kind, sizes, count, up)
     ]
 
 
-def _refuse(sources: Sequence[str], sizes: Sequence[Size]) -> None:
+def _refuse(kinds: Sequence[str], sizes: Sequence[Size]) -> None:
     """Refuse repeated kinds and sizes, sizes below 1, and several sizes of a file's cameras."""
-    for what, values in (("kind of cameras", sources), ("size", sizes)):
+    for what, values in (("kind of cameras", kinds), ("size", sizes)):
         if len(set(values)) < len(values):
             raise OptionError(f"A {what} is given twice; name each once.")
     if not sizes or min(map(min, sizes)) < 1:
         shown = " and ".join(f"{width} x {height}" for width, height in sizes) or "none"
         raise OptionError(f"Views need at least one size, of 1 pixel or more, not {shown}.")
-    others = [source for source in sources if source not in FOUND]
+    others = [kind for kind in kinds if kind not in FOUND]
     if others and len(sizes) > 1:
         raise OptionError(
             f"Several sizes cannot be given for the cameras of {others[0]}, which have sizes of"
@@ -249,32 +248,30 @@ def _refuse(sources: Sequence[str], sizes: Sequence[Size]) -> None:
         )
 
 
-def _of_source(
+def _of_kind(
     model: Splats | Source,
-    source: str,
+    kind: str,
     sizes: Sequence[Size],
     count: int,
     up: Sequence[float] | None,
 ) -> list[ViewSet]:
-    """Return the views of one source, at each size."""
+    """Return the views of one kind, or of a camera file, at each size."""
     made: list[ViewSet] = []
     shapes: dict[float, list[Camera]] = {}
     for width, height in sizes:
         shape = width / height
         if shape not in shapes:
-            shapes[shape] = cameras_for(
-                model, source, count=count, width=width, height=height, up=up
-            )
+            shapes[shape] = cameras_for(model, kind, count=count, width=width, height=height, up=up)
         cameras = shapes[shape]
         notes: tuple[str, ...] = ()
-        if source in FOUND:
+        if kind in FOUND:
             cameras = [camera.resized(width, height) for camera in cameras]
-            notes = _missing(source, len(cameras), count)
-        made.append(ViewSet(cameras, FOUND.get(source, "given"), notes))
+            notes = _missing(kind, len(cameras), count)
+        made.append(ViewSet(cameras, FOUND.get(kind, "given"), notes))
     return made
 
 
-def _missing(source: str, found: int, asked: int) -> tuple[str, ...]:
+def _missing(kind: str, found: int, asked: int) -> tuple[str, ...]:
     if found == asked:
         return ()
-    return (f"{source}: {counted(found, 'view was', 'views were')} found of {asked} asked for",)
+    return (f"{kind}: {counted(found, 'view was', 'views were')} found of {asked} asked for",)

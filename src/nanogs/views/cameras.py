@@ -18,7 +18,7 @@ from nanogs.views.automatic import Kind, Split, automatic_cameras
 from nanogs.views.decimated import decimated
 
 Cameras: TypeAlias = str | PathLike[str] | Camera | Sequence[Camera]
-"""Cameras, or their source: "auto", "orbit", "inside", "roam", or a file or folder of cameras."""
+"""Cameras, or a name of them: "auto", "orbit", "inside", "roam", or a file or folder of cameras."""
 
 KINDS: dict[str, Kind] = {"auto": "auto", "orbit": "orbit", "inside": "inside"}
 FOUND: dict[str, Origin] = {**KINDS, "roam": "roam"}  # all automatic cameras
@@ -32,7 +32,7 @@ _OF_NERFSTUDIO = (
 
 def cameras_for(
     model: Splats | Source,
-    source: str,
+    name: str,
     *,
     count: int,
     width: int,
@@ -44,7 +44,7 @@ def cameras_for(
 
     Args:
         model: The model; a source gives the same cameras as the model in memory.
-        source: A name in `FOUND`, or a camera file or data-set folder.
+        name: A name in `FOUND`, or a camera file or data-set folder.
         count: Number of automatic views.
         width: Width of automatic views, pixels.
         height: Height of automatic views, pixels.
@@ -55,37 +55,37 @@ def cameras_for(
         The cameras; fewer than `count` if not enough roaming ones are found.
 
     Raises:
-        NanogsError: `model` is no model, or the source is neither, or cannot be read.
+        NanogsError: `model` is no model, or the name is none of these, or cannot be read.
     """
     refuse_no_model(model)
-    if source in KINDS:
-        kind = KINDS[source]
+    if name in KINDS:
+        kind = KINDS[name]
         return automatic_cameras(
             model, count, width=width, height=height, kind=kind, up=up, split=split
         )
-    if source == "roam":
+    if name == "roam":
         from nanogs.views.roam import roaming_cameras  # imports Numba
 
         some = decimated(model)
         return roaming_cameras(some, count, width=width, height=height, up=up, split=split)
-    return cameras_from(source)
+    return cameras_from(name)
 
 
-def cameras_from(source: str) -> list[Camera]:
+def cameras_from(path: str) -> list[Camera]:
     """Read all cameras of a file or data-set folder.
 
     Raises:
         NanogsError: There is no such file, or it cannot be read.
     """
-    if refusal := why_refused(source):
-        raise OptionError(f"The cameras {source} cannot be read ({refusal}); check the path.")
-    if not exists(source):
+    if refusal := why_refused(path):
+        raise OptionError(f"The cameras {path} cannot be read ({refusal}); check the path.")
+    if not exists(path):
         raise OptionError(
-            f"There is no camera file {source!r}; give a file, or one of {', '.join(FOUND)}."
+            f"There is no camera file {path!r}; give a file, or one of {', '.join(FOUND)}."
         )
     from nanogs.datasets.dataset import cameras_from_file
 
-    return cameras_from_file(Path(source))
+    return cameras_from_file(Path(path))
 
 
 def frame_notes(cameras: Sequence[Camera], model: Splats | Source) -> list[str]:
@@ -118,11 +118,11 @@ def chosen_cameras(
     """
     if not isinstance(cameras, str | PathLike):
         return given_cameras(cameras), "given"
-    source = os.fspath(cameras)
+    name = os.fspath(cameras)
     width, height = picture_size(pixels)
     count = view_count(views)
-    found = cameras_for(model, source, count=count, width=width, height=height, up=up)
-    return found, FOUND.get(source, "given")
+    found = cameras_for(model, name, count=count, width=width, height=height, up=up)
+    return found, FOUND.get(name, "given")
 
 
 def picture_size(pixels: int | Sequence[int]) -> tuple[int, int]:
@@ -165,10 +165,10 @@ def known_cameras(
     """
     if not isinstance(cameras, str | PathLike):
         found = given_cameras(cameras)
-    elif (source := os.fspath(cameras)) in FOUND:
-        return source
+    elif (name := os.fspath(cameras)) in FOUND:
+        return name
     else:
-        found = cameras_from(source)
+        found = cameras_from(name)
     refuse_beside_given(up, views, [pixels])
     return found
 
