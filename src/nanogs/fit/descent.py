@@ -99,9 +99,9 @@ class Descent:
             self._active = replace(self._active, model=model)
             # State and model share one array of coefficients, as they do without surroundings.
             self._state = replace(self._state, sh=model.sh[:n])
-        self._seen = np.zeros(n, np.int32)
-        self._hessians = np.zeros((n, PACKED), np.float32)
-        self._weights = np.zeros(n, np.float32)
+        self._seen = np.zeros(n, np.int32)  # views of each splat since `begin`
+        self._hessians = np.zeros((n, PACKED), np.float32)  # means over these of the curvatures,
+        self._weights = np.zeros(n, np.float32)  # and of those of colours
         self._displacements = displacements_of(state, self.splats)
         self._displacements[:, MOST_DETERMINED] = determined
         self._count = 0

@@ -62,6 +62,10 @@ class Validator:
         groups: The validation views.
         surroundings: Splats that are drawn together with every model, if any.
         shared: Which splats share their higher harmonics, if any do.
+
+    Attributes:
+        before: PSNR of the input on each group, dB.
+        best: The same of the best state so far.
     """
 
     def __init__(
