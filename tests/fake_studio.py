@@ -56,7 +56,7 @@ class FakeStudio:
             "layouts": [LAYOUT],
             "camera": {
                 "position": position, "target": [0, 0, 0], "up": start.up.tolist(),
-                "lens": start.lens, "near": start.near,
+                "lens": start.tangent, "near": start.near,
             },
             "background": "#000000", "bounds": {"low": low, "high": high}, "folder": "scenes",
             "page": {"scale": DISTANCE / start.distance, "centre": start.target.tolist()},

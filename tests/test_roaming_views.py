@@ -106,7 +106,7 @@ def test_nothing_is_near_the_lens_among_many_small_splats():
     for camera in roaming_cameras(scene, 12, split="test"):
         view = render(prepared, camera.reduced(96), depth=True)
         distance = camera.near / roam.NEAR
-        assert (view.depth < roam.LENS * distance).mean() <= roam.HUGGED
+        assert (view.depth < roam.HUGGING * distance).mean() <= roam.HUGGED
 
 
 def test_cameras_of_a_room_are_inside_it():
@@ -124,9 +124,9 @@ def wall(distance, width=3.0, beside=0.0):
 
 def view_is_accepted(*parts):
     """Return whether a view from the origin along z is accepted, if its target is at distance 1."""
-    lens = replace(roam._small_camera(512, 512, 60), near=0.02)
+    camera = replace(roam._small_camera(512, 512, 60), near=0.02)
     splats = prepare(concatenate(parts))
-    return roam._shown(splats, roam.Candidate(lens, np.array([0.0, 0, 1]), 1.0)) is not None
+    return roam._shown(splats, roam.Candidate(camera, np.array([0.0, 0, 1]), 1.0)) is not None
 
 
 def test_a_view_is_accepted_if_its_target_is_visible_and_large_enough():
@@ -154,12 +154,12 @@ def test_light_by_depth_is_that_of_the_splats_in_each_range():
 def test_targets_are_drawn_from_the_light_of_all_cameras_found_so_far():
     splats = concatenate([cloud(np.zeros((1, 3)), 0.1), cloud(np.full((1, 3), 0.2), 0.1)])
     scene = roam.SearchedModel(prepare(splats), np.zeros(3), 1.0, np.eye(3), np.ones(2, bool))
-    lens = roam._small_camera(64, 64, 60)
+    camera = roam._small_camera(64, 64, 60)
     known = roam.SearchState(np.array([1.0, 0.0]), FreeSpace(scene.splats), [])
-    candidates = roam._candidates(scene, known, lens, "fit", 50)
+    candidates = roam._candidates(scene, known, camera, "fit", 50)
     assert (next(candidates).target == 0).all()
     known.weights = np.array([0.0, 1.0])
-    known.cameras.append(lens)
+    known.cameras.append(camera)
     assert (next(candidates).target > 0).all()
 
 
@@ -169,8 +169,8 @@ def test_cameras_stay_near_the_model_and_no_target_is_out_of_reach():
     splats = prepare(cloud(places, 0.1))
     scene = roam.SearchedModel(splats, np.zeros(3), 1.0, np.eye(3), np.array([True, True, False]))
     known = roam.SearchState(np.array([1.0, 1.0, 98.0]), FreeSpace(splats), [])
-    lens = roam._small_camera(64, 64, 60)
-    found = [*roam._candidates(scene, known, lens, "fit", 300)]
+    camera = roam._small_camera(64, 64, 60)
+    found = [*roam._candidates(scene, known, camera, "fit", 300)]
     assert len(found) > 150
     assert {candidate.target[0] for candidate in found} == {0.0, 2.5}
     assert 2 < max(np.linalg.norm(each.camera.position) for each in found) <= roam.AWAY

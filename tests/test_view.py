@@ -41,7 +41,7 @@ START = Opening(
     position=np.array([0.0, 0.0, -4.0]),
     target=np.zeros(3),
     up=np.array([0.0, -1.0, 0.0]),
-    lens=0.5,
+    tangent=0.5,
     near=0.05,
 )
 
@@ -70,7 +70,7 @@ def test_the_first_view_shows_a_whole_object_in_the_centre():
     pose = look_at(start.position, start.target, start.up)
     local = splats.means @ pose[:3, :3].T + pose[:3, 3]
     assert (local[:, 2] > start.near * start.distance).all()
-    inside = np.abs(local[:, :2] / local[:, 2:]).max(axis=1) < start.lens
+    inside = np.abs(local[:, :2] / local[:, 2:]).max(axis=1) < start.tangent
     assert inside.mean() > 0.97
     assert np.linalg.norm(start.target) < 0.2  # of a cube with half-width 1 around the origin
     assert start.up @ (start.position - start.target) > 0
@@ -100,7 +100,7 @@ def test_a_page_starts_at_the_given_camera():
     ahead = (start.target - start.position) / start.distance
     assert np.allclose(ahead, pose[2, :3])
     assert start.distance == pytest.approx(5.1, rel=0.05)  # the distance to the centre of the model
-    assert start.lens == pytest.approx(240 / 500)
+    assert start.tangent == pytest.approx(240 / 500)
     assert start.near * start.distance == pytest.approx(0.1)
 
 
@@ -127,7 +127,7 @@ def test_unknown_camera_kinds_and_zero_up_vectors_are_refused():
 def test_the_first_view_in_a_room_orbits_what_it_looks_at():
     splats = cloud(room(20_000), size=0.06)
     start = opening_for(splats, "inside")
-    pose, focal = look_at(start.position, start.target, start.up), 32 / start.lens
+    pose, focal = look_at(start.position, start.target, start.up), 32 / start.tangent
     camera = Camera(64, 64, focal, focal, 32, 32, pose, near=start.near * start.distance)
     depth = render(splats, camera, depth=True).depth
     x, y = np.meshgrid(*[(np.arange(64) + 0.5 - 32) / focal] * 2)

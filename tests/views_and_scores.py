@@ -46,6 +46,6 @@ def opening_camera(model, width=240, height=180, up=None):
     """Return the camera that `nanogs view` opens with, for a picture of that size."""
     start = opening_for(model, up=up)
     pose = look_at(start.position, start.target, start.up)
-    focal = min(width, height) / 2 / start.lens
+    focal = min(width, height) / 2 / start.tangent
     near = start.near * start.distance
     return Camera(width, height, focal, focal, width / 2, height / 2, pose, near=near)

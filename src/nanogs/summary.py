@@ -76,7 +76,7 @@ def _overview(splats: Splats) -> Camera:
     from nanogs.views.poses import look_at
 
     start = opening_for(splats)
-    focal = min(WIDTH, HEIGHT) / 2 / start.lens
+    focal = min(WIDTH, HEIGHT) / 2 / start.tangent
     pose = look_at(start.position, start.target, start.up)
     near = start.near * start.distance
     return Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, pose, "overview", near)

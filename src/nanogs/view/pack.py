@@ -130,7 +130,7 @@ def camera_in_page(start: Opening) -> dict[str, Any]:
         "position": position.tolist(),
         "target": [0.0, 0.0, 0.0],
         "up": start.up.tolist(),
-        "lens": start.lens,
+        "lens": start.tangent,
         "near": start.near,
     }
 

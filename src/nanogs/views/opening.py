@@ -25,14 +25,14 @@ class Opening:
         position: (3,) float64, position of the camera, scene units.
         target: (3,) float64, the point that it orbits, in the centre of the image, scene units.
         up: (3,) float64, unit.
-        lens: Tangent of half the field of view along the shorter side of the image.
+        tangent: That of half the field of view along the shorter side of the image.
         near: Distance of the near plane over that of the target.
     """
 
     position: F64
     target: F64
     up: F64
-    lens: float
+    tangent: float
     near: float
 
     @property
@@ -58,27 +58,27 @@ def opening_for(
     if isinstance(view, Camera):
         scene = survey(splats, "orbit", up)
         pose = view.world_to_camera @ scene.turn.T  # in the model's own frame, as below
-        lens = min(view.width / view.fx, view.height / view.fy) / 2
-        return _opening(scene, pose, lens, view.near, _ahead(pose, scene.core.centre))
+        tangent = min(view.width / view.fx, view.height / view.fy) / 2
+        return _opening(scene, pose, tangent, view.near, _ahead(pose, scene.core.centre))
     scene = survey(splats, view, up)
     angle = ORBIT_FOV if scene.kind == "orbit" else INSIDE_FOV
-    lens = float(np.tan(np.radians(angle / 2)))
-    square = np.full(2, lens)
+    tangent = float(np.tan(np.radians(angle / 2)))
+    square = np.full(2, tangent)
     if scene.kind == "orbit":
         pose, near = overview(scene.orbit, square)
-        return _opening(scene, pose, lens, near, _ahead(pose, scene.orbit.centre))
+        return _opening(scene, pose, tangent, near, _ahead(pose, scene.orbit.centre))
     first = np.zeros(1, np.int64)
     [(pose, near)] = inside.poses(scene.sampled, scene.core, square, first)
-    return _opening(scene, pose, lens, near, _depth(scene, pose, square))
+    return _opening(scene, pose, tangent, near, _depth(scene, pose, square))
 
 
-def _opening(scene: Survey, pose: F64, lens: float, near: float, distance: float) -> Opening:
+def _opening(scene: Survey, pose: F64, tangent: float, near: float, distance: float) -> Opening:
     """Convert a pose (4, 4) in the model's own frame to an opening in scene coordinates."""
     distance = max(distance, SHORTEST * scene.core.radius)
     pose = pose @ scene.turn
     position: F64 = -pose[:3, :3].T @ pose[:3, 3]
     target: F64 = position + distance * pose[2, :3]
-    return Opening(position, target, scene.turn[2, :3], lens, near / distance)
+    return Opening(position, target, scene.turn[2, :3], tangent, near / distance)
 
 
 def _ahead(pose: F64, point: F64) -> float:

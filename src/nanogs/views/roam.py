@@ -40,7 +40,7 @@ SEEDS = 16  # number of automatic views that the search starts with
 SIZE = 96  # pixels along the longer side of the images that candidates are tested by
 HIT = 0.5  # least share of the light in the centre that comes from about the target's depth
 ABOUT = 0.1  # tolerance of that depth over the distance of the target
-LENS = 0.2  # depth over the distance of the target below which splats are too near the camera
+HUGGING = 0.2  # depth over the distance of the target below which splats are too near the camera
 HUGGED = 0.05  # largest share of the image that such splats may hide
 COVERED = 1 / 3  # least share of the image that shows splats
 NEAR = 0.02  # near plane over the distance of the target
@@ -247,7 +247,7 @@ def _add_if_accepted(scene: SearchedModel, known: SearchState, candidate: Candid
 def _shown(splats: PreparedSplats, candidate: Candidate) -> F64 | None:
     """Render a candidate; return the contributions (N,), or None if the image is rejected."""
     distance = candidate.distance
-    ranges = [((1 - ABOUT) * distance, (1 + ABOUT) * distance), (0.0, LENS * distance)]
+    ranges = [((1 - ABOUT) * distance, (1 + ABOUT) * distance), (0.0, HUGGING * distance)]
     image = light_by_depth(splats, candidate.camera, ranges, contributions=True)
     hit = middle(image.shares)[0] >= HIT
     free = image.shares[..., 1].mean() <= HUGGED and image.alpha.mean() >= COVERED
