@@ -398,7 +398,11 @@ def test_levels_are_measured_together_with_their_environment(
         ("out/lod-meta.json", ["--environment", "https://a.b/c.ply"], ["is a URL", "name a file"]),
         ("out/lod-meta.json", ["--environment-ratio", "2"], ["at most 1, not 2"]),
         ("out/lod-meta.json", ["--environment-ratio", "0"], ["above 0"]),
-        ("out/lod-meta.json", ["--environment-ratio", "150%"], ["at most 100%, not '150%'"]),
+        (
+            "out/lod-meta.json",
+            ["--environment-ratio", "150%"],
+            ["ratio takes 100% or less, not '150%'"],
+        ),
         (
             "out/lod-meta.json",
             ["--environment", "none", "--environment-ratio", "0.5"],
