@@ -188,6 +188,19 @@ def test_a_file_whose_name_begins_with_a_dash_is_told_from_an_option(tmp_path, m
     assert run("info", f"./{name}").returncode == 0
 
 
+@pytest.mark.parametrize("name", ["-a.ply", "-q.ply", "--out.compressed.ply"])
+def test_a_file_to_write_whose_name_begins_with_a_dash_is_told_from_an_option(name):
+    said = f"error: {name} begins like an option; name the file ./{name}.\n"
+    assert run("convert", "in.ply", name).stderr == said
+
+
+@pytest.mark.parametrize(("word", "option"), [("-Z0.1", "-Z"), ("--zzz=a.ply", "--zzz")])
+def test_an_unknown_option_with_a_value_is_not_taken_for_a_file(word, option):
+    refused = run("view", "in.ply", "-opage.html", word)
+    said = f"error: There is no option {option}; `nanogs view --help` lists them.\n"
+    assert refused.stderr == said
+
+
 def test_without_a_command_the_help_is_printed():
     result = run()
     assert result.returncode == 2

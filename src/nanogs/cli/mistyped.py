@@ -47,7 +47,8 @@ def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
         return ""
     command = f"{context.command_path} --help" if context else "nanogs --help"
     if option := _unknown_option(error):
-        if file := next(filter(_is_dashed_file, sys.argv[1:]), ""):
+        words = (word for word in sys.argv[1:] if _is_dashed_file(word, option))
+        if file := next(words, ""):
             return f"{file} begins like an option; name the file ./{file}."
         return f"There is no option {option}{_meant(option, context)}; `{command}` lists them."
     if value := _bad_value(error):
@@ -70,8 +71,12 @@ def _unknown_option(error: Any) -> str:  # noqa: ANN401
     return str(error.option_name) if type(error).__name__ == "NoSuchOption" else ""
 
 
-def _is_dashed_file(word: str) -> bool:
-    return word.startswith("-") and exists(word)
+def _is_dashed_file(word: str, option: str) -> bool:
+    """Return whether a word with the unknown option is a file, or a name for one to write."""
+    named = word.startswith(option) or option == "-."  # as in -q.ply, of which -q is an option
+    return word.startswith("-") and (
+        exists(word) or (named and re.fullmatch(r"[^=]+\.[A-Za-z]\w*", word) is not None)
+    )
 
 
 def _meant(option: str, context: Any) -> str:  # noqa: ANN401
