@@ -125,6 +125,7 @@ def test_unknown_placeholders_are_refused():
         ({"ratios": (0.1, 0.1)}, "The ratio .* occurs twice; leave one out"),
         ({"ratios": ()}, "at least one ratio"),
         ({"methods": ("nope",)}, "no method 'nope'"),
+        ({"methods": ("random:seed=3",)}, "only presets take parameters; name random without"),
         ({"methods": ("paper:x=1",)}, "no parameter 'x'"),
         ({"methods": ("paper:k=many",)}, "k takes a whole number"),
         ({"methods": ("paper:tau=many",)}, "tau takes a number"),

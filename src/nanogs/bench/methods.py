@@ -90,6 +90,8 @@ def find_preset(name: str) -> tuple[str, dict[str, Any]]:
         OptionError: As for `find_method`.
     """
     preset, *assignments = name.split(":")
+    if preset in BASELINES:
+        raise OptionError(f"{name}: only presets take parameters; name {preset} without any.")
     if preset not in PRESETS:
         raise OptionError(f"There is no method {preset!r}; choose from {', '.join(all_methods())}.")
     defaults = dataclasses.asdict(PRESETS[preset])
