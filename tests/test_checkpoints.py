@@ -97,6 +97,22 @@ def test_files_of_other_ranks_are_named_in_the_notes(tmp_path):
     assert io.load(tmp_path / "ckpt_6999_rank1.pt").notes == ()
 
 
+@pytest.mark.parametrize("ways", [{}, {"block": 30}])
+@pytest.mark.parametrize("left", [0, 7])
+def test_a_note_on_joined_ranks_names_those_that_are_not_among_them(tmp_path, left, ways):
+    names = [f"ckpt_29999_rank{rank}.pt" for rank in range(2 + left)]
+    for file in names:
+        write_checkpoint(tmp_path / file, gsplat(random_splats(30, degree=0)))
+    parts = [tmp_path / name for name in names[:2]]
+    out = tmp_path / "small.ply"
+    report = nanogs.simplify_blocks(parts, out, count=9, preset="fast", **ways)
+    assert (report.input_count, report.blocks is not None) == (60, bool(ways))
+    said = [note for note in report.notes if "devices" in note]
+    missing = ", ".join(names[2:8])  # at most six are named
+    text = f"The splats of other devices are in other files: {missing}."
+    assert said == [text] * bool(left)
+
+
 # Malicious and damaged files
 
 

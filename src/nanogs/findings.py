@@ -54,23 +54,28 @@ class _Count(int):
 
 
 class Names(tuple[str, ...]):
-    """Names in order of appearance, formatted with commas between them."""
+    """Names in order of appearance, formatted with commas between them: `{:6}` is at most six."""
 
     __slots__ = ()
 
-    def __format__(self, _spec: str) -> str:
-        return ", ".join(self)
+    def __format__(self, spec: str) -> str:
+        return ", ".join(self[: int(spec)] if spec else self)
 
     def union(self, other: "Names") -> "Names":
         """Return the names of both, each once."""
         return Names(dict.fromkeys((*self, *other)))
+
+    def intersection(self, other: "Names") -> "Names":
+        """Return the names that are in both."""
+        return Names(name for name in self if name in other)
 
 
 def join_findings(parts: Iterable[Iterable[str]]) -> tuple[str, ...]:
     """Merge the sentences about parts into those about the whole, in order of first appearance.
 
     Args:
-        parts: The sentences about each part; of equal plain texts one is kept.
+        parts: The sentences about each part; of equal plain texts one is kept. A finding without
+            any names is left out.
     """
     found: dict[str, str] = {}
     for sentences in parts:
@@ -84,10 +89,10 @@ def join_findings(parts: Iterable[Iterable[str]]) -> tuple[str, ...]:
                 value = text.merge(before.value, text.value)
                 text = Finding(text.template, value, text.merge)
             found[text.template] = text
-    return tuple(found.values())
+    return tuple(text for text in found.values() if getattr(text, "value", None) != ())
 
 
-_MERGES = {merge.__name__: merge for merge in (operator.add, min, Names.union)}
+_MERGES = {merge.__name__: merge for merge in (operator.add, min, Names.union, Names.intersection)}
 
 
 def to_plain(sentence: str) -> str | dict[str, Any]:

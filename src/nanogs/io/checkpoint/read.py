@@ -19,7 +19,7 @@ import numpy as np
 from nanogs._types import F32, Array
 from nanogs.activations import alphas, base_colour
 from nanogs.errors import FormatError, ModelError
-from nanogs.findings import became_infinite
+from nanogs.findings import Finding, Names, became_infinite
 from nanogs.io import render_tag
 from nanogs.io.checkpoint.torch_file import TorchFile
 from nanogs.io.checkpoint.torch_pickle import Tensor
@@ -73,7 +73,7 @@ class Checkpoint(Whole):
 
     def load(self) -> Splats:
         """Read the whole model."""
-        notes = list(_other_ranks(self.path))
+        notes: list[str] = [*_other_ranks(self.path)]
         if self._others:
             notes.append(f"Left out of the checkpoint: {', '.join(map(printable, self._others))}.")
         arrays = {
@@ -224,18 +224,22 @@ def _harmonics(arrays: Mapping[str, Array], count: int) -> F32:
     return np.concatenate(parts, axis=1).astype(np.float32, copy=False)
 
 
-def _other_ranks(path: Path) -> list[str]:
-    """Return a note if training on several devices left more files, with other splats."""
+def _other_ranks(path: Path) -> list[Finding]:
+    """Return a note if training on several devices left more files, with other splats.
+
+    If several of them are read as one model, the note is about those that are in none of them.
+    """
     match = _RANK.fullmatch(path.name)
     if match is None:
         return []
-    others = [
+    others = Names(
         file.name
         for file in sorted(path.parent.iterdir())
         if (other := _RANK.fullmatch(file.name))
         and other.groups() == match.groups()
         and file.name != path.name
-    ]
+    )
     if not others:
         return []
-    return [f"The splats of other devices are in other files: {', '.join(others[:6])}."]
+    text = "The splats of other devices are in other files: {:6}."
+    return [Finding(text, others, Names.intersection)]
