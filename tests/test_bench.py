@@ -439,6 +439,39 @@ def test_rows_of_a_scene_that_cannot_be_read_any_more_stay(model, tmp_path):
     assert "not_mounted" in further.reason
 
 
+def test_further_methods_leave_the_finished_rows_of_their_scene(model, monkeypatch):
+    monkeypatch.setattr(measuring, "run_job", lambda job: Outcome(error=f"ran {job.method}"))
+    known = [BenchRow("ball", ORIGINAL, 1.0, splats=1), BenchRow("ball", "fast", 0.5, psnr=12.0)]
+    settings = BenchSettings(ratios=(0.5,), methods=("fast", "random"), views=1, sizes=(16,))
+    *kept, further = run_bench([scene_of_file(model)], settings, done=known)
+    assert kept == known
+    assert further.reason == "ran random"
+
+
+@pytest.mark.parametrize(
+    ("file_bytes", "reason"),
+    [
+        (6000, "The whole model as .ply takes 6,000 B, which fits into this size."),
+        (6001, "ran fast"),
+        (None, "ran fast"),  # it could not be written
+    ],
+)
+def test_the_size_of_the_whole_model_is_that_of_its_finished_row(
+    file_bytes, reason, model, monkeypatch
+):
+    monkeypatch.setattr(measuring, "run_job", lambda job: Outcome(error=f"ran {job.method}"))
+    known = [
+        BenchRow("ball", ORIGINAL, 1.0),
+        BenchRow("ball", ORIGINAL, 1.0, format=".ply", file_bytes=file_bytes),
+    ]
+    settings = BenchSettings(
+        file_sizes=(6000,), formats=(".ply",), methods=("fast",), views=1, sizes=(16,)
+    )
+    rows = run_bench([scene_of_file(model)], settings, done=known)
+    assert rows[:2] == known
+    assert rows[2].reason == reason
+
+
 def test_a_run_that_measured_nothing_keeps_the_rows_that_it_took_over(tmp_path):
     row = BenchRow("a", ORIGINAL, 1.0)
     ResultFolder(tmp_path, run="this").add(row)
@@ -605,7 +638,7 @@ def test_a_scene_that_cannot_be_read_is_skipped_and_the_next_is_measured(model, 
     assert "gone.ply" in rows[0].reason
 
 
-def test_invalid_lists_of_scenes_and_unknown_metrics_are_refused(model):
+def test_invalid_scenes_metrics_and_threads_are_refused(model):
     settings = BenchSettings(ratios=(0.1,), methods=("opacity",))
     with pytest.raises(OptionError, match="The scene 'ball' occurs twice"):
         run_bench([scene_of_file(model)] * 2, settings)
@@ -613,6 +646,8 @@ def test_invalid_lists_of_scenes_and_unknown_metrics_are_refused(model):
         run_bench([], settings)
     with pytest.raises(OptionError, match="no metric"):
         run_bench([scene_of_file(model)], BenchSettings(metrics=("mse",)))
+    with pytest.raises(OptionError, match="threads must be from 1 to"):
+        run_bench([scene_of_file(model)], replace(settings, threads=10**6))
 
 
 def test_a_metric_whose_package_is_missing_is_refused_before_anything_runs(model, monkeypatch):
@@ -647,6 +682,27 @@ def test_external_files_are_scored_and_missing_ones_skipped(model, tmp_path):
     assert broken.status is Status.FAILED
     assert missing.status is Status.SKIPPED
     assert "ball_0.01_them.ply" in missing.reason
+
+
+def test_the_count_of_external_files_is_a_share_of_the_finite_splats(model, tmp_path):
+    splats = nanogs.load(model)
+    splats.means[:100] = np.nan
+    nanogs.save(splats, tmp_path / "ball.ply")
+    nanogs.save(splats.take(np.arange(100, 130)), tmp_path / "them.ply")
+    settings = BenchSettings(
+        ratios=(0.1,), methods=(), views=1, sizes=(16,),
+        externals={"them": str(tmp_path / "them.ply")},
+    )  # fmt: skip
+    row = run_bench([scene_of_file(tmp_path / "ball.ply")], settings)[1]
+    assert (row.splats, row.notes) == (30, ())
+
+
+def test_an_unknown_placeholder_is_refused_before_anything_runs(model):
+    reported = []
+    settings = BenchSettings(ratios=(0.1,), methods=(), externals={"them": "{name}.ply"})
+    with pytest.raises(OptionError, match="no other braces"):
+        run_bench([scene_of_file(model)], settings, on_row=reported.append)
+    assert reported == []
 
 
 def test_external_files_of_another_degree_or_render_mode_are_noted(model, tmp_path):
