@@ -592,6 +592,14 @@ def test_blocks_are_as_large_as_memory_allows():
         plan_blocks(10**8, layout, chosen, (0.1,), 10**8)
 
 
+def test_a_model_of_few_splats_needs_no_memory_for_a_usual_block():
+    layout, chosen = Layout(3, False, (), "default", (), ()), PRESETS["fast"]
+    allowed = int((LIBRARIES + 400_000) / 0.95)
+    assert plan_blocks(100, layout, chosen, (0.1,), allowed).blocks == 1
+    with pytest.raises(OptionError, match="at least"):
+        plan_blocks(5000, layout, chosen, (0.1,), allowed)
+
+
 # ---- whole jobs -----------------------------------------------------------------------------
 
 
