@@ -592,6 +592,29 @@ def test_blocks_are_as_large_as_memory_allows():
         plan_blocks(10**8, layout, chosen, (0.1,), 10**8)
 
 
+def test_the_largest_result_decides_the_memory_of_blocks():
+    layout, chosen = Layout(3, False, (), "default", (), ()), PRESETS["default"]
+    large, both, small = (
+        plan_blocks(10**8, layout, chosen, shares, 2 * 10**9).block
+        for shares in ((0.5,), (0.1, 0.5), (0.1,))
+    )
+    assert large == both < small
+
+
+def test_each_step_view_and_level_adds_to_the_expected_seconds():
+    layout, chosen = Layout(0, False, (), "default", (), ()), PRESETS["default"]
+
+    def seconds(shares=(0.5,), **changes):
+        return plan_blocks(10**6, layout, replace(chosen, **changes), shares, None, 10**5).seconds
+
+    usual, levels = seconds(), (0.5, 0.25)
+    assert seconds(steps=chosen.steps + 1) > usual
+    assert seconds(further=chosen.further + 1) > usual
+    unlooked = {"guided": False, "steps": 0}
+    further = seconds(levels, **unlooked) - seconds(**unlooked)
+    assert seconds(levels) - usual > 2 * further > 0
+
+
 def test_a_model_of_few_splats_needs_no_memory_for_a_usual_block():
     layout, chosen = Layout(3, False, (), "default", (), ()), PRESETS["fast"]
     allowed = int((LIBRARIES + 400_000) / 0.95)
