@@ -47,8 +47,8 @@ def sentence(error: Any) -> str:  # noqa: ANN401 - typer's own
         return ""
     command = f"{context.command_path} --help" if context else "nanogs --help"
     if option := _unknown_option(error):
-        words = (word for word in sys.argv[1:] if _is_dashed_file(word, option))
-        if file := next(words, ""):
+        dashed = (word for word in sys.argv[1:] if _is_dashed_file(word, option))
+        if file := next(dashed, ""):
             return f"{file} begins like an option; name the file ./{file}."
         return f"There is no option {option}{_meant(option, context)}; `{command}` lists them."
     if value := _bad_value(error):
