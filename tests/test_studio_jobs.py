@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
@@ -217,6 +218,35 @@ def test_only_a_newer_choice_gets_its_draft_early():
         assert [inbox.successors.get() for _ in range(inbox.successors.qsize())] == [newer]
 
 
+def test_of_several_newer_choices_the_latest_gets_a_draft_and_further_ones_follow():
+    drafted, (first, second, third) = [], (Job("ask", "a") for _ in range(3))
+    with listening_inbox() as (inbox, tell):
+
+        def sooner(job, channel):
+            drafted.append((job, channel.id))
+            if job is third:
+                raise KeyboardInterrupt  # or it would wait for another
+            inbox.successors.put(third)
+            raise Cancelled
+
+        for job in (first, second):
+            tell("cancel", (0, job))
+        with pytest.raises(KeyboardInterrupt):
+            worker._draft_sooner(SimpleNamespace(sooner=sooner), None, inbox)
+    assert drafted == [(second, second.id), (third, third.id)]
+
+
+def test_the_worker_ends_with_the_server(monkeypatch):
+    ended = SimpleQueue()
+    monkeypatch.setattr(worker, "_end", ended.put)
+
+    def recv():
+        raise EOFError
+
+    Inbox(SimpleNamespace(recv=recv))
+    assert ended.get(timeout=20) == 1
+
+
 @pytest.fixture
 def channel():
     """A channel of a job, the messages that it sends, and a function that cancels the job."""
@@ -228,22 +258,42 @@ def channel():
 
 def test_progress_is_sent_now_and_then_and_for_each_new_stage(channel, monkeypatch):
     channel, sent, _ = channel
-    monkeypatch.setattr(worker, "EVERY", 1e9)
+    seconds = iter((100.0, 100.09, 100.11, 100.19, 100.2))
+    monkeypatch.setattr(worker, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
     on_step = channel.progress("draft")
-    for stage, fraction in (("graph", 0.1), ("graph", 0.2), ("cut", 0.3)):
+    for fraction, stage in enumerate(("graph", "graph", "graph", "graph", "cut")):
         on_step(Step(stage, 1, 2, 0, 1, fraction))
     shared = {"type": "progress", "number": 7, "kind": "draft"}
     assert sent == [
-        ("event", "a", shared | {"stage": "graph", "fraction": 0.1}, {}),
-        ("event", "a", shared | {"stage": "cut", "fraction": 0.3}, {}),
+        ("event", "a", shared | {"stage": "graph", "fraction": 0}, {}),
+        ("event", "a", shared | {"stage": "graph", "fraction": 2}, {}),
+        ("event", "a", shared | {"stage": "cut", "fraction": 4}, {}),
     ]
 
 
-def test_points_of_the_plot_belong_to_no_request(channel):
+def test_a_cancelled_job_stops_at_its_next_step_and_sends_nothing_more(channel):
+    channel, sent, cancel = channel
+    on_step, done = channel.progress("draft"), []
+    cancel(None)
+    for act in (
+        partial(channel, {"type": "draft"}),
+        partial(on_step, Step("graph", 1, 2, 0, 1, 0.5)),
+        partial(channel.rest, "model", 0.0, 60.0),
+    ):
+        with pytest.raises(Cancelled):
+            act()
+    job, handler = Job("ask", "a"), SimpleNamespace(do=lambda *_: done.append("begun"))
+    assert worker._outcome(handler, job, channel) == ("cancelled", {"type": "cancelled"})
+    assert sent == done == []
+
+
+def test_points_of_the_plot_and_the_scene_belong_to_no_request(channel):
     channel, sent, _ = channel
-    for kind in ("point", "draft"):
+    for kind in ("point", "scene", "draft"):
         channel({"type": kind})
-    assert [message[2] for message in sent] == [{"type": "point"}, {"type": "draft", "number": 7}]
+    assert [message[2] for message in sent] == [
+        {"type": "point"}, {"type": "scene"}, {"type": "draft", "number": 7},
+    ]  # fmt: skip
 
 
 def test_work_that_serves_a_newer_request_is_finished_first(channel):
@@ -361,11 +411,85 @@ def test_a_worker_knows_the_newest_request_that_replaces_its_job(workers, monkey
         supervisor.put(first)
         await workers[0].say("done", "done", None)
         supervisor.put(second)
+        supervisor.put(Job("filter", "a"))
+        supervisor.put(Job("ask", "b"))
+        supervisor.cancel("b")
         supervisor.put(third)
         supervisor.cancel("a")
 
     asyncio.run(session())
     assert workers[0].others == [(first.id, second), (first.id, third), (first.id, None)]
+
+
+def test_a_running_save_is_not_told_to_stop_for_another(workers):
+    first, second = Job("save", "a", 1), Job("save", "a", 2)
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda page, event, models: None)
+        supervisor.put(first)
+        await workers[0].say("done", "done", None)
+        supervisor.seen("a", "model", 1e-6)
+        supervisor.put(second)
+        await workers[0].say("done", "done", None)
+
+    asyncio.run(session())
+    assert workers[0].others == [("a", "model", 1e-6)]
+    assert workers[0].jobs[1:] == [first, second]
+
+
+def test_cancelling_a_page_ends_its_requests_of_every_kind(workers):
+    told, kinds = [], ["ask", "filter", "save"]
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda *each: told.append(each[:2]))
+        for kind in kinds:
+            supervisor.put(Job(kind, "a"))
+        supervisor.put(Job("ask", "b"))
+        supervisor.cancel("a")
+        await workers[0].say("done", "done", None)
+
+    asyncio.run(session())
+    assert [(page, event["kind"], event["type"]) for page, event in told] == [
+        ("a", kind, "cancelled") for kind in kinds
+    ]
+    assert [job.page for job in workers[0].jobs] == ["", "b"]
+
+
+def test_a_replaced_job_has_more_time_to_stop_than_a_cancelled_one(workers, monkeypatch):
+    timers, running = [], []
+
+    class Timer:
+        def __init__(self, seconds, _end):
+            self.seconds, self.runs = seconds, True
+            timers.append(self)
+
+        def cancel(self):
+            self.runs = False
+
+    def note():
+        running.append([number for number, timer in enumerate(timers) if timer.runs])
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda page, event, models: None)
+        supervisor.put(Job("ask", "a", 1))
+        await workers[0].say("done", "done", None)
+        with monkeypatch.context() as patch:
+            patch.setattr(asyncio.get_running_loop(), "call_later", Timer)
+            supervisor.put(Job("ask", "a", 2))
+            note()
+            await workers[0].say("event", "a", {"type": "progress"}, {})  # it counts from here
+            note()
+            supervisor.cancel("a")
+            note()
+            await workers[0].say("event", "a", {"type": "progress"}, {})
+            note()
+            await workers[0].say("done", "cancelled", {"type": "cancelled"})
+            note()
+
+    asyncio.run(session())
+    replaced, cancelled = supervisor.PATIENCE_REPLACED, supervisor.PATIENCE
+    assert [timer.seconds for timer in timers] == [replaced, replaced, cancelled]
+    assert running == [[0], [1], [2], [2], []]
 
 
 def test_the_plot_is_not_filled_for_a_page_that_is_left_or_a_request_that_failed(
@@ -399,10 +523,55 @@ def test_filling_the_plot_goes_on_after_another_job(workers, monkeypatch):
         await workers[0].say("done", "done", None)
         supervisor.put(Job("save", "b", 1))
         await workers[0].say("done", "cancelled", {"type": "cancelled"})
+        supervisor.cancel("b", "ask", "filter", "curve")
         await workers[0].say("done", "done", None)
 
     asyncio.run(session())
     assert [job.kind for job in workers[0].jobs] == ["open", "ask", "curve", "save", "curve"]
+
+
+@pytest.mark.parametrize("outcome", ["done", "failed", None], ids=["done", "failed", "killed"])
+def test_the_plot_of_a_request_is_filled_once(workers, outcome):
+    told = []
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda *each: told.append(each[:2]))
+        supervisor.put(Job("ask", "a", 1))
+        await workers[0].say("done", "done", None)
+        await workers[0].say("done", "done", None)
+        if outcome is None:
+            workers[0].may_end.set()
+            workers[0].end_by_itself()
+        else:
+            await workers[0].say("done", outcome, {"type": outcome})
+        await until(lambda: told)
+        assert supervisor.queue.idle
+
+    asyncio.run(session())
+    assert told == [("a", {"type": "explored"})]
+    assert [job.kind for worker in workers for job in worker.jobs] == ["open", "ask", "curve"]
+
+
+def test_a_worker_that_is_cancelled_while_it_ends_by_itself_is_replaced_once(workers):
+    told = []
+
+    async def session():
+        supervisor = WorkerSupervisor(None, None, lambda *each: told.append(each[:2]))
+        supervisor.put(Job("ask", "a", 1))
+        await workers[0].say("done", "done", None)
+        supervisor.put(Job("ask", "b", 1))
+        workers[0].end_by_itself()
+        await until(workers[0].ending.is_set)
+        supervisor.cancel("a")
+        await asyncio.sleep(0.1)  # longer than the patience
+        workers[0].may_end.set()
+        await until(lambda: len(workers) == 2)
+        await asyncio.gather(*asyncio.all_tasks() - {asyncio.current_task()})
+        await workers[1].say("done", "done", None)
+
+    asyncio.run(session())
+    assert [job.kind for job in workers[1].jobs] == ["open", "ask"]
+    assert [(page, event["type"]) for page, event in told] == [("a", "cancelled")]
 
 
 def test_no_job_is_done_for_a_scene_that_could_not_be_opened(workers):
