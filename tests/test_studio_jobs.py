@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import os
 import threading
 import time
 from functools import partial
@@ -13,13 +14,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from builders import random_splats
 from nanogs import cleanup
 from nanogs.errors import NanogsError
+from nanogs.io import save
+from nanogs.io.temporary import name_beside
+from nanogs.pipeline.job.folder import job_folder
 from nanogs.progress import Step
 from nanogs.studio import supervisor, worker
 from nanogs.studio.choice import choice_of
 from nanogs.studio.jobs import Job, Queue
+from nanogs.studio.orders import SaveRequest
 from nanogs.studio.process import Process
+from nanogs.studio.scene import StudioSettings, scene_of
 from nanogs.studio.supervisor import WorkerSupervisor
 from nanogs.studio.worker import Cancelled, Inbox, WorkerChannel
 
@@ -631,6 +638,36 @@ def test_a_scene_whose_reading_ends_the_worker_is_not_read_again_unasked(workers
         ("open", "failed"), ("ask", "cancelled"),
     ]  # fmt: skip
     assert [job.kind for job in workers[1].jobs] == ["open"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows does not lock temporary files")
+@pytest.mark.parametrize("ended", ["worker", "studio"])
+@pytest.mark.parametrize("begun", [False, True], ids=["new", "begun by a command"])
+def test_a_save_whose_worker_ends_leaves_nothing(workers, tmp_path, ended, begun):
+    save(random_splats(9), tmp_path / "scene.ply")
+    scene, choice = scene_of(tmp_path / "scene.ply"), {"wish": {"splats": 5}, "levels": "1"}
+    choice = choice_of(choice | {"format": "lod-meta.json"})
+    order = SaveRequest(scene, StudioSettings(), choice, tmp_path / "web" / "lod-meta.json")
+    job, temporary = job_folder(order.target, None), name_beside(order.target)
+
+    async def session():
+        supervisor = WorkerSupervisor(scene, None, lambda page, event, models: None)
+        supervisor.put(Job("save", "a", 1, order))
+        if begun:
+            job.mkdir()
+        await workers[0].say("done", "done", None)
+        job.mkdir(exist_ok=True)
+        for folder in (job, temporary):
+            (folder / "part").mkdir(parents=True)
+        workers[0].may_end.set()
+        if ended == "studio":
+            supervisor.end()
+            return
+        workers[0].end_by_itself()
+        await until(lambda: supervisor.queue.idle)
+
+    asyncio.run(session())
+    assert {path.name for path in tmp_path.iterdir()} == {"scene.ply", *([job.name] * begun)}
 
 
 @pytest.mark.skipif(not OPEN_FILES.exists(), reason="the system does not list open files")

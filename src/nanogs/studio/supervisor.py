@@ -1,11 +1,16 @@
 """Passing requests of pages to the worker process and events back, and restarting the worker."""
 
 import asyncio
+import os
+import shutil
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
+from nanogs.errors import OutputError
 from nanogs.io.temporary import sweep
+from nanogs.pipeline.job.folder import job_folder
 from nanogs.studio.jobs import Job, Kind, Queue
 from nanogs.studio.orders import SaveRequest
 from nanogs.studio.process import Process
@@ -38,6 +43,7 @@ class WorkerSupervisor:
         self._task: asyncio.Task[None] | None = None  # the task that ends a worker
         self._ending: Process | None = None  # the worker that it ends
         self._replaced = False  # whether the running job is replaced by a newer one
+        self._job_folder: Path | None = None  # which the running save makes if it is in blocks
         self._curve: Job | None = None  # the request whose curve is measured while there are none
 
     def open(self) -> None:
@@ -110,6 +116,7 @@ class WorkerSupervisor:
                     loop.call_soon_threadsafe(self._hear, process, message)
 
             self._process = process = Process(self._scene, self._settings, on_message)
+        self._job_folder = _new_job_folder(job)
         self._send(("job", job))
 
     def _send(self, message: tuple[str, Any]) -> None:
@@ -211,7 +218,19 @@ class WorkerSupervisor:
             self.open()
 
     def _sweep(self) -> None:
-        """Remove the temporary files of a save that was interrupted."""
+        """Remove the files of a save that was interrupted: nothing resumes it."""
         job = self.queue.running
         if job is not None and isinstance(job.work, SaveRequest):
             sweep(job.work.target)
+            if self._job_folder is not None:
+                shutil.rmtree(self._job_folder, ignore_errors=True)
+
+
+def _new_job_folder(job: Job) -> Path | None:
+    """Return the job folder of a save; None if it exists, as of a command that was interrupted."""
+    if not isinstance(job.work, SaveRequest):
+        return None
+    with suppress(OutputError):  # which the worker reports
+        folder = job_folder(job.work.target, None)
+        return None if os.path.lexists(folder) else folder
+    return None
