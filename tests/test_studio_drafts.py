@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from builders import cloud_pair
 from nanogs.activations import SH_C0
+from nanogs.filters import FilterReport
 from nanogs.io import encoded_bytes, save
 from nanogs.pipeline.options.target import Goal
 from nanogs.studio import asking, showing
@@ -33,6 +34,7 @@ class RecordingJob:
 
     def __init__(self, number):
         self.id, self.said, self.shown = number, [], []
+        self.kinds, self.useful = [], []
 
     def __call__(self, event, shown=None):
         self.said.append(event)
@@ -44,12 +46,14 @@ class RecordingJob:
         return [event["type"] for event in self.said if event["type"] != "rest"]
 
     def progress(self, kind):
+        self.kinds.append(kind)
         return lambda step: None
 
     def rest(self, model, least, most):
         self.said.append({"type": "rest", "model": model, "least": least, "most": most})
 
     def shielded(self, useful):
+        self.useful.append(useful)
         return nullcontext()
 
 
@@ -60,19 +64,21 @@ class Forest:
 
     def __init__(self, splats):
         self.splats, self.measuring, self.go_on = splats, threading.Event(), threading.Event()
-        self.using = 0
+        self.using, self.formats = 0, []
 
     def draft(self, count):
         self.using += 1
         assert self.using == 1, "two threads use the forest at once"
-        drafted = self.splats.take(slice(0, count))
+        drafted = self.splats.take(slice(0, max(count, self.fewest)))
         self.using -= 1
         return drafted
 
     def simplify(self, count, *, format, progress):  # noqa: A002
-        return self.draft(count), SimpleNamespace(stop="target", notes=("a note",))
+        self.formats.append(format)
+        return self.draft(count), SimpleNamespace(stop="fewest", notes=("a note",))
 
-    def measure(self, splats, **options):
+    def measure(self, splats, *, format, progress):  # noqa: A002
+        self.formats.append(format)
         self.measuring.set()
         assert self.go_on.wait(20), "no draft was made meanwhile"
         return SimpleNamespace(bytes=10, judged=SimpleNamespace(psnr=30.0, ssim=0.9))
@@ -88,6 +94,7 @@ def answers(forest):
     curve = Curve(400, 1, lambda count: 10 * count, exact=True)
     answer_state = SimpleNamespace(
         settings=SimpleNamespace(render_mode=None), here=lambda choice: forest,
+        is_grown=lambda choice: True,
         roughly=lambda choice, progress: forest,
         fully=lambda choice, progress: forest, curve=lambda choice, grown: curve,
     )  # fmt: skip
@@ -125,6 +132,57 @@ def test_a_newer_request_gets_its_draft_while_an_older_one_is_measured(answers, 
     assert second.events == ["draft", "made", "point", "measured"]  # and no second draft
 
 
+def test_a_request_gets_its_draft_while_the_plot_is_filled(answers, forest):
+    choice, plot, job = choice_of({"wish": {"bytes": 600}}), RecordingJob(1), RecordingJob(2)
+    thread = threading.Thread(target=answers.explore, args=(choice, plot))
+    thread.start()
+    assert forest.measuring.wait(20)
+    answers.sooner(choice, job)
+    assert job.said[0]["splats"] == 60  # of 10 bytes each
+    forest.go_on.set()
+    thread.join(20)
+    assert plot.events == ["point"] * 6
+    assert set(plot.kinds) == {"curve"}
+
+
+def test_an_early_draft_waits_for_the_forest_and_is_left_out_without_one(answers):
+    choice, job = choice_of({"wish": {"splats": 50}}), RecordingJob(1)
+    with answers._forest:
+        thread = threading.Thread(target=answers.sooner, args=(choice, job))
+        thread.start()
+        thread.join(0.1)
+        assert job.events == []
+    thread.join(20)
+    assert job.events == ["draft"]
+    answers._cache.here = lambda choice: None
+    answers.sooner(choice, job := RecordingJob(2))
+    assert job.events == []
+
+
+@pytest.mark.parametrize(
+    ("change", "useful"),
+    [
+        ({"goal": Goal(count=8)}, [True, True]),
+        ({"format": ".sog"}, [True, True]),
+        ({"preset": "best"}, [True, False]),
+        ({"filters": FilterChoice(min_opacity=0.1)}, [False, False]),
+    ],
+)
+def test_forests_are_finished_for_newer_requests_that_they_serve(answers, forest, change, useful):
+    forest.go_on.set()
+    answers.ask(choice := choice_of({"wish": {"splats": 50}}), job := RecordingJob(1))
+    newer = replace(choice, **change)
+    assert [serves(newer) for serves in job.useful] == useful
+
+
+def test_sizes_are_those_of_the_format_that_is_asked_for(answers, forest):
+    forest.go_on.set()
+    choice = choice_of({"wish": {"splats": 50}, "format": ".spz"})
+    answers.ask(choice, RecordingJob(1))
+    answers.explore(choice, RecordingJob(2))
+    assert forest.formats == [".spz"] * (2 + 6)
+
+
 def test_a_request_that_has_begun_gets_no_draft_after_its_result(answers, forest):
     job, choice = RecordingJob(1), choice_of({"wish": {"splats": 50}})
     thread = threading.Thread(target=answers.ask, args=(choice, job))
@@ -136,14 +194,57 @@ def test_a_request_that_has_begun_gets_no_draft_after_its_result(answers, forest
     assert job.events == ["draft", "made", "point", "measured"]
 
 
-def test_a_result_is_sent_once_and_measured_afterwards(answers, forest):
+def test_a_result_is_sent_once_and_measured_afterwards(answers, forest, monkeypatch):
     forest.go_on.set()
+    clock = SimpleNamespace(perf_counter=iter((5.0, 7.5)).__next__)
+    monkeypatch.setattr(asking, "time", clock)
     answers.ask(choice_of({"wish": {"splats": 50}}), job := RecordingJob(1))
     made, measured = (shown for kind, shown in job.shown if kind != "draft")
     assert list(made.models) == [made.entry["id"]]
     assert measured.entry == made.entry
     assert measured.models == {}
-    assert job.said[-1]["notes"] == ["a note"]
+    available = {"available": 400, "fewest": 1}
+    figures = {"splats": 50, "bytes": 10, "psnr": 30.0, "ssim": 0.9, "stop": "fewest"}
+    assert job.said[-1] == figures | available | {
+        "type": "measured", "seconds": 2.5, "notes": ["a note"],
+    }  # fmt: skip
+    about = {"splats": 50, "bytes": 500, "psnr": None, "about": True} | available
+    assert [event for event in job.said if event.get("about")] == [
+        {"type": kind} | about for kind in ("draft", "made")
+    ]
+    assert job.kinds == ["draft", "draft", "draft", "measure"]
+
+
+def test_a_draft_of_fewer_splats_than_are_possible_says_how_many_it_has(answers, forest):
+    forest.go_on.set()
+    forest.fewest = 60
+    answers.ask(choice_of({"wish": {"splats": 50}}), job := RecordingJob(1))
+    assert [event["splats"] for event in job.said if "splats" in event] == [60] * 4
+
+
+def test_a_page_that_was_opened_in_a_mode_shows_the_scene_in_it(answers, forest):
+    forest.go_on.set()
+    answers._cache.settings.render_mode = "mip"
+    stays = np.ones(len(forest.splats), bool)
+    answers._cache.sifted = lambda choice: FilteredScene(forest.splats, stays, ())
+    for number, (mode, sent) in enumerate((("mip", 0), ("default", 1), ("default", 0), ("mip", 1))):
+        choice = choice_of({"wish": {"splats": 50}, "render_mode": mode})
+        answers.ask(choice, job := RecordingJob(number + 1))
+        assert job.events.count("filtered") == sent
+
+
+def test_a_preview_shows_the_whole_scene_and_what_would_be_removed(answers, forest, monkeypatch):
+    monkeypatch.setattr(showing, "MOST_SHOWN", 150)
+    stays = np.arange(len(forest.splats)) % 4 > 0
+    left, reports = forest.splats.take(np.flatnonzero(stays)), (FilterReport("box", "", 100, 300),)
+    answers._cache.previewed = lambda choice: FilteredScene(left, stays, reports)
+    answers._cache.whole = lambda render_mode: forest.splats
+    answers.preview(choice_of({"wish": {"splats": 50}}), job := RecordingJob(1))
+    took = [{"name": "box", "argument": "", "removed": 100, "left": 300}]
+    assert job.said == [{"type": "filtered", "took": took, "left": 300, "preview": True}]
+    [(_, shown)] = job.shown
+    assert (shown.entry["splats"], shown.entry["of"]) == (134, 400)
+    assert job.kinds == ["filters"]
 
 
 def test_the_worker_waits_until_the_page_has_drawn(answers, forest):
@@ -297,8 +398,19 @@ def test_measured_results_raise_the_curve_of_plain_cuts():
     assert curve.psnr_of(100) == pytest.approx(32)
     assert curve.count_for(Goal(psnr=32)) == 100
     assert curve.missing() == 50
+    curve.add(Point(50, 50, 28.0, coarse=False))
+    assert curve.missing() == 50, "a full result is no plain cut"
     curve.add(Point(10_000, 10_000, 55.0, coarse=False))  # beyond all plain cuts
     assert curve.psnr_of(10_000) == pytest.approx(55)
+
+
+def test_estimated_psnrs_never_fall_and_continue_as_at_the_nearer_end():
+    curve = Curve(1000, 1, lambda n: n, exact=True)
+    for count, mark in ((100, 20.0), (200, 22.0), (300, 21.0), (400, 25.0)):
+        curve.add(Point(count, count, mark, coarse=True))
+    assert curve.psnr_of(50) == pytest.approx(18)
+    assert curve.psnr_of(300) == pytest.approx(22)
+    assert curve.psnr_of(800) == pytest.approx(25 + 8 * math.log(2)), "the steepest slope"
 
 
 def test_a_result_with_infinite_psnr_does_not_change_the_curve():
@@ -399,6 +511,7 @@ def test_a_curve_keeps_no_model_alive(suffix, tmp_path):
     choice = Choice(goal=Goal(count=9), format=suffix, sh_degree=0)
     held = weakref.ref(cache.sifted(choice).splats.means)
     curve = cache.curve(choice, Forest(splats))
+    assert curve.exact
     cache.forget()
     gc.collect()
     assert held() is None
@@ -414,11 +527,20 @@ def cache(tmp_path):
 
 
 def test_sizes_are_estimated_from_a_part_of_the_splats(cache, monkeypatch, tmp_path):
-    monkeypatch.setattr("nanogs.studio.cache._SAMPLE", 100)
+    parts = []
+
+    def encoded(splats, path):
+        parts.append(len(splats))
+        return encoded_bytes(splats, path)
+
+    monkeypatch.setattr("nanogs.studio.cache.encoded_bytes", encoded)
+    monkeypatch.setattr("nanogs.studio.cache._SAMPLE", 399)
     choice = Choice(goal=Goal(count=9), format=".spz")
     splats = cache.sifted(choice).splats
     whole = encoded_bytes(splats, tmp_path / "out.spz")
-    assert 0.7 * whole < cache.curve(choice, Forest(splats)).bytes_of(len(splats)) < 1.4 * whole
+    curve = cache.curve(choice, Forest(splats))
+    assert 0.7 * whole < curve.bytes_of(len(splats)) < 1.4 * whole
+    assert (parts, curve.exact) == ([200], False)
 
 
 def test_only_the_latest_curves_are_kept(cache, monkeypatch):
@@ -431,6 +553,48 @@ def test_only_the_latest_curves_are_kept(cache, monkeypatch):
     cache.curve(choices[2], forest)
     assert cache.curve(choices[1], forest) is file
     assert cache.curve(choices[0], forest) is not folder
+    best = replace(choices[2], preset="best")
+    assert cache.curve(best, forest) is not cache.curve(choices[2], forest)
+
+
+def test_filters_and_render_mode_are_those_of_each_choice(cache):
+    whole = Choice(goal=Goal(count=9))
+    few = replace(whole, filters=FilterChoice(box=(0, -9, -9, 9, 9, 9)))
+    mip = replace(few, render_mode="mip")
+    counts = []
+    for choice in (whole, few, mip, whole):
+        previewed = cache.previewed(choice)
+        sifted = cache.sifted(choice)
+        assert cache.previewed(choice) is sifted
+        for splats in (previewed.splats, sifted.splats):
+            assert splats.render_mode == (choice.render_mode or "default")
+            counts.append(len(splats))
+    assert 0 < counts[2] < 400
+    assert counts == [400, 400, *counts[2:3] * 4, 400, 400]
+
+
+def test_a_forest_is_used_only_for_its_own_model(cache, monkeypatch):
+    grown = []
+
+    def grow(splats, **options):
+        assert cache.grown is None, "two forests are in memory"
+        grown.append((len(splats), options["preset"]))
+        return Forest(splats)
+
+    monkeypatch.setattr("nanogs.pipeline.grown.grow", grow)
+    whole = Choice(goal=Goal(count=9), preset="fast")
+    few = replace(whole, filters=FilterChoice(box=(0, -9, -9, 9, 9, 9)))
+    best = replace(few, preset="best")
+    assert cache.here(whole) is None
+    for choice, drafts in ((whole, False), (few, False), (best, True)):
+        assert (cache.here(choice) is not None) == drafts
+        assert not cache.is_grown(choice)
+        forest = cache.fully(choice, None)
+        assert cache.is_grown(choice)
+        assert forest is cache.fully(choice, None) is cache.here(choice)
+    left = len(cache.sifted(few).splats)
+    assert grown == [(400, "fast"), (left, "fast"), (left, "best")]
+    assert left < 400
 
 
 def test_a_forest_is_grown_as_the_choice_and_the_settings_say(cache, monkeypatch):
