@@ -24,6 +24,7 @@ from nanogs.studio.cache import FilteredScene, WorkerCache, grown_key
 from nanogs.studio.choice import Choice, FilterChoice, choice_of
 from nanogs.studio.curve import Curve, Point
 from nanogs.studio.scene import StudioSettings
+from nanogs.studio.worker import Cancelled
 from nanogs.views.opening import opening_for
 
 
@@ -311,6 +312,23 @@ def test_a_page_that_returns_to_another_curve_gets_its_points(answers, forest):
         answers.ask(choice, job := RecordingJob(number))
         known = ["point"] if number == 3 else []
         assert job.events == [*known, "draft", "made", "point", "measured"]
+
+
+def test_points_that_a_cancelled_request_has_not_sent_are_sent_by_the_next(answers, forest):
+    class Interrupted(RecordingJob):
+        def __call__(self, event, shown=None):
+            if self.said:
+                raise Cancelled
+            super().__call__(event, shown)
+
+    forest.go_on.set()
+    choice, curve = choice_of({"wish": {"splats": 50}}), answers._cache.curve(None, forest)
+    for count in (10, 20):
+        curve.add(Point(count, 10 * count, 30.0, coarse=True))
+    with pytest.raises(Cancelled):
+        answers.ask(choice, Interrupted(1))
+    answers.ask(choice, job := RecordingJob(2))
+    assert job.events == ["point", "point", "draft", "made", "point", "measured"]
 
 
 def test_the_plot_is_filled_with_plain_cuts_of_a_forest_that_is_in_memory(answers, forest):

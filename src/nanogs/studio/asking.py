@@ -192,9 +192,9 @@ class RequestHandler:
         """Return the curve of a choice; all its points are sent if the page had another curve."""
         curve = self._cache.curve(choice, grown)
         if self._told.get(channel.page) is not curve:
-            self._told[channel.page] = curve
             for point in curve.points.values():
                 channel(_point(point, choice))
+            self._told[channel.page] = curve  # not before: a cancelled request stops in between
         return curve
 
     def _draft(
