@@ -8,6 +8,7 @@ from contextlib import suppress
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ import nanogs
 from builders import random_splats
 from launch import run_here
 from nanogs.datasets.synthetic import make_scene
-from nanogs.errors import NotEnoughMemoryError, OptionError
+from nanogs.errors import ExistsError, NotEnoughMemoryError, OptionError
 from nanogs.frames import change_between, change_frame
 from nanogs.pipeline.job.folder import MANIFEST, job_folder
 from nanogs.pipeline.options.presets import FORESTS
@@ -266,8 +267,47 @@ def test_each_up_has_a_frame_that_rotates_it_upwards(up):
     assert turning.up_of(turning.direction_of(up)) == up
 
 
-def test_the_whole_scene_may_be_asked_for(scene):
-    refuse_unfit(scene, choice_of({"wish": {"splats": 60}}))
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"wish": {"splats": 60}},
+        {"wish": {"splats": 61}, "format": ".rad", "levels": "1"},  # of which levels take no count
+        {"wish": {"splats": 5}, "preset": "fast", "sh_degree": 0},
+        {"wish": {"psnr": 30}, "preset": "fast"},
+    ],
+)
+def test_choices_that_the_scene_can_meet_are_allowed(scene, data):
+    refuse_unfit(scene, choice_of(data))
+
+
+@pytest.mark.parametrize(
+    ("data", "path"),
+    [
+        ({}, "out.ply"),
+        ({"format": "meta.json"}, "out/meta.json"),
+        ({"format": "lod-meta.json", "levels": "1"}, "a scene-levels/lod-meta.json"),
+    ],
+)
+def test_the_command_is_shown_with_a_name_that_fits_the_format(scene, data, path):
+    assert shown_path(scene, choice_of({"wish": {"splats": 5}} | data)) == Path(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.ply", {}),
+        ("a.rad", {"format": ".rad", "levels": "1"}),
+        ("a/lod-meta.json", {"format": "lod-meta.json", "levels": "1"}),
+    ],
+)
+def test_an_existing_output_is_refused_before_anything_is_computed(scene, tmp_path, name, data):
+    choice, path = choice_of({"wish": {"splats": 5}} | data), tmp_path / name
+    order = SaveRequest(scene, StudioSettings(), choice, path)
+    order.check_target()
+    saved(order)
+    with pytest.raises(ExistsError):
+        order.check_target()
+    dataclasses.replace(order, overwrite=True).check_target()
 
 
 @pytest.mark.parametrize(("up", "frames"), [("-y", None), ("+z", ("rfu", "rdf"))])
@@ -278,10 +318,12 @@ def test_a_file_is_turned_only_if_another_up_is_chosen(scene, up, frames):
 
 
 def test_the_settings_of_the_studio_are_part_of_the_command(scene):
-    studio = StudioSettings(device="cuda", max_memory=10**9)
+    studio = StudioSettings(device="cuda", max_memory=10**9, threads=3)
     order = SaveRequest(scene, studio, choice_of({"wish": {"splats": 5}}), Path("a.ply"), True)
     given = ["--device", "cuda", "--max-memory", "1000000000", "--overwrite"]
     assert order.words()[4:] == ["--count", "5", *given]
+    expected = {"device": "cuda", "max_memory": 10**9, "threads": 3, "overwrite": True}
+    assert expected.items() <= order.arguments().items()
 
 
 def test_paths_that_look_like_options_are_written_as_paths(scene):
@@ -322,24 +364,73 @@ def test_a_save_in_blocks_that_is_cancelled_leaves_no_job(tmp_path, monkeypatch,
     with pytest.raises(Cancelled):
         saving.save(order, WorkerCache(scene, studio), cancel)
     assert [path.name for path in tmp_path.iterdir()] == ["scene.ply"]
-    assert saving.save(order, WorkerCache(scene, studio), lambda _step: None)["type"] == "saved"
+    assert saved(order)["type"] == "saved"
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
         [name.split("/")[0], "scene.ply"]
     )
 
 
-@pytest.mark.parametrize("limit", [None, 10**9])
-def test_a_save_with_a_limit_on_memory_frees_the_model_first(tmp_path, limit, monkeypatch):
+def saved(order):
+    """Do a save, and return the event that reports it."""
+    cache = WorkerCache(order.scene, order.settings)
+    return saving.save(order, cache, lambda _step: None)
+
+
+def test_a_save_reports_what_it_wrote(tmp_path):
+    nanogs.save(random_splats(500), tmp_path / "scene.ply")
+    scene, filters = scene_of(tmp_path / "scene.ply"), {"box": [0, -9, -9, 9, 9, 9]}
+    asked = choice_of({"wish": {"splats": 100}, "preset": "fast", "filters": filters})
+    (tmp_path / "a.ply").write_bytes(b"before")
+    order = SaveRequest(scene, StudioSettings(), asked, tmp_path / "a.ply", overwrite=True)
+    event = saved(order)
+    removed = 500 - event["report"]["input_count"]
+    assert 0 < removed < 400
+    assert event["bytes"] == (tmp_path / "a.ply").stat().st_size
+    assert (event["replaced"], event["short"]) == (True, None)
+    assert event["lines"][:2] == [("splats", "100 of 500"), ("crop", f"took {removed} splats")]
+    assert event["lines"][-1][0] == "time"
+
+
+def test_a_save_of_levels_reports_each_of_them(tmp_path):
+    nanogs.save(random_splats(500), tmp_path / "scene.ply")
+    scene, out = scene_of(tmp_path / "scene.ply"), tmp_path / "web" / "lod-meta.json"
+    asked = {"wish": {"splats": 9}, "preset": "fast", "format": out.name, "levels": "1,0.1"}
+    event = saved(SaveRequest(scene, StudioSettings(), choice_of(asked), out))
+    files = [path for path in out.parent.rglob("*") if path.is_file()]
+    assert event["bytes"] == sum(path.stat().st_size for path in files) > out.stat().st_size
+    lines = [line for line in event["lines"] if line[0] == "splats"]
+    assert lines == [("splats", "500 of 500"), ("splats", "50 of 500")]
+    assert [level["achieved_count"] for level in event["report"]["levels"]] == [500, 50]
+    assert not event["replaced"]
+
+
+def test_a_save_as_a_folder_reports_the_bytes_of_all_files(scene, tmp_path):
+    out = tmp_path / "sog" / "meta.json"
+    asked = choice_of({"wish": {"splats": 9}, "preset": "fast", "format": out.name})
+    event = saved(SaveRequest(scene, StudioSettings(), asked, out))
+    sizes = [path.stat().st_size for path in out.parent.iterdir()]
+    assert event["bytes"] == sum(sizes) > max(sizes)
+
+
+def test_a_save_reports_a_psnr_that_was_not_reached(scene, tmp_path):
+    asked = choice_of({"wish": {"psnr": 99}, "preset": "fast", "format": ".splat"})
+    event = saved(SaveRequest(scene, StudioSettings(), asked, tmp_path / "a.splat"))
+    assert event["short"].endswith("so the whole model was written (stop: unreached).")
+    judged = event["report"]["judged"]
+    quality = dict(event["lines"])["PSNR"]
+    assert quality == f"{judged['psnr']:.2f} dB, SSIM {judged['ssim']:.4f}"
+
+
+@pytest.mark.parametrize(("limit", "divided"), [(None, False), (10**9, False), (None, True)])
+def test_a_save_that_needs_the_memory_frees_the_model_first(tmp_path, limit, divided, monkeypatch):
     nanogs.save(random_splats(500), tmp_path / "scene.ply")
     scene, studio = scene_of(tmp_path / "scene.ply"), StudioSettings(max_memory=limit)
     asked = choice_of({"wish": {"splats": 100}, "preset": "fast"})
     freed = []
     monkeypatch.setattr(WorkerCache, "forget", lambda _cache: freed.append(True))
-    saving.save(
-        SaveRequest(scene, studio, asked, tmp_path / "a.ply"),
-        WorkerCache(scene, studio), lambda _: None,
-    )  # fmt: skip
-    assert len(freed) == (limit is not None)
+    monkeypatch.setattr(saving, "plan_files", lambda _request: SimpleNamespace(divided=divided))
+    saved(SaveRequest(scene, studio, asked, tmp_path / "a.ply"))
+    assert len(freed) == (limit is not None or divided)
 
 
 def test_a_save_leaves_the_job_of_a_command_alone(tmp_path):
@@ -357,7 +448,5 @@ def test_a_save_leaves_the_job_of_a_command_alone(tmp_path):
         )
     scene, studio = scene_of(tmp_path / "scene.ply"), StudioSettings()
     asked = choice_of({"wish": {"splats": 100}, "preset": "fast"})
-    saving.save(
-        SaveRequest(scene, studio, asked, output), WorkerCache(scene, studio), lambda _: None
-    )
+    saved(SaveRequest(scene, studio, asked, output))
     assert (kept / MANIFEST).exists()
