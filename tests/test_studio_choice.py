@@ -190,6 +190,8 @@ def test_the_page_describes_the_presets_that_are_offered():
         ({"wish": {"splats": 5}, "format": ".ssog"}, "give their ratios"),
         ({"wish": {"splats": 5}, "levels": "1", "format": ".ply"}, "Levels are written as"),
         ({"wish": {"psnr": 30}, "preset": "fast", "sh_degree": 0}, "lower SH degree"),
+        ({"wish": {"psnr": 30}, "format": "meta.json"}, "set the count, or choose .sog"),
+        ({"wish": {"bytes": 9000}, "format": "meta.json"}, "set the count, or choose .sog"),
     ],
 )
 def test_choices_that_the_scene_cannot_meet_are_refused(scene, data, message):

@@ -168,7 +168,12 @@ def refuse_unfit(scene: Scene, choice: Choice) -> None:
     if choice.levels is not None and choice.format not in LAYOUTS:
         raise OptionError(f"Levels are written as {', '.join(LAYOUTS)}, not as {choice.format}.")
     if choice.levels is None:
-        registry.writable(Path(f"model{choice.format}"))
+        known = registry.writable(Path(f"model{choice.format}"))
+        if known.write is None and count is None:
+            raise OptionError(
+                f"A file size or a PSNR is possible only for one file, and {known.suffix} describes"
+                " a folder; set the count, or choose .sog."
+            )
     if choice.levels is None and count is not None and count > scene.splats:
         raise OptionError(
             f"The count {count:,} is above the {counted(scene.splats, 'splat')} of the scene."
