@@ -10,8 +10,9 @@ import nanogs
 from builders import random_splats
 from launch import run
 from nanogs import io
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import ExistsError, FormatError, OptionError
 from nanogs.io.registry import LEVELS
+from nanogs.lod.archive import write_archive
 
 FAST = ("--preset", "fast", "--chunk", "500")
 
@@ -133,6 +134,26 @@ def test_an_existing_file_is_replaced_only_with_w(archive_folder, tmp_path):
     assert (tmp_path / "a.ssog").read_bytes() == (archive_folder / "a.ssog").read_bytes()
     with pytest.raises(OptionError, match="levels of detail; make them with `nanogs lod`"):
         nanogs.save(random_splats(3), tmp_path / "b.ssog")
+
+
+@pytest.mark.parametrize(
+    ("layout", "name"), [("streamed sog archive", "a.ssog"), ("spark tree", "a.rad")]
+)
+def test_an_existing_file_is_refused_before_anything_is_computed(tmp_path, layout, name):
+    (tmp_path / name).write_bytes(b"mine")
+    steps = []
+    options = {"layout": layout, "preset": "fast", "progress": steps.append}
+    with pytest.raises(ExistsError):
+        nanogs.write_levels(random_splats(50), tmp_path / name, [0.5], **options)
+    assert steps == []
+
+
+def test_an_archive_can_hold_a_file_above_the_limit_of_old_zips(tmp_path, monkeypatch):
+    monkeypatch.setattr(zipfile, "ZIP64_LIMIT", 1000)
+    (tmp_path / "large").write_bytes(data := bytes(2000))
+    write_archive(tmp_path, ["large"], tmp_path / "a.ssog")
+    with zipfile.ZipFile(tmp_path / "a.ssog") as archive:
+        assert archive.read("large") == data
 
 
 def write_changed(source, target, change):
