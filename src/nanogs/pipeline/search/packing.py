@@ -20,8 +20,8 @@ MORE_BITS_FIT, MOST_BITS_FIT = 0.7, 0.88
 # Share of the error of a file, before it is packed, below which packing makes nearly all of it; and
 # the coarseness of rounding then.
 FEW_SPLATS_MISSED, FINE = 0.2, 0.5
-# Share of the error of a result that is only compared which would be left after a whole fit: 0.4 to
-# 0.85 in trained scenes.
+# Share of the error of a result that is only compared which would be left after a whole fit: 0.41
+# to 0.88 in trained scenes (benchmarks/brief_fits.py).
 ERROR_LEFT = 0.6
 
 BitValues = tuple[tuple[str, int], ...]
