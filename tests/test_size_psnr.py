@@ -17,6 +17,7 @@ from nanogs.io import registry
 from nanogs.io.ply import write as ply_write
 from nanogs.pipeline import one_block as pipeline_run
 from nanogs.pipeline.options.target import Goal, count_for_size
+from nanogs.pipeline.search.coarseness import COARSEST_FOR_PSNR, HALVINGS, coarsest
 from nanogs.pipeline.search.file_size import ENOUGH, fit_size, search_fit
 from nanogs.pipeline.search.file_size import MOST_PROBES as FIT_PROBES
 from nanogs.pipeline.search.file_size import TOLERANCE as CLOSE
@@ -24,11 +25,8 @@ from nanogs.pipeline.search.packer import MOST_SAVED, ChosenPacking, PackingForP
 from nanogs.pipeline.search.packing import ERROR_LEFT, Packing
 from nanogs.pipeline.search.psnr import (
     BELOW_STEP,
-    COARSEST,
-    HALVINGS,
     MOST_PROBES,
     NEAR_DB,
-    coarsest,
     reach_psnr,
     search_count,
 )
@@ -647,12 +645,12 @@ def test_values_are_rounded_as_coarsely_as_the_psnr_allows(limit):
     found = coarsest(reaches)
     assert min(tried) > 1.0, "the result itself reaches it"
     assert len(tried) <= 1 + HALVINGS
-    if limit >= COARSEST:
-        assert (found, tried) == (COARSEST, [COARSEST])
+    if limit >= COARSEST_FOR_PSNR:
+        assert (found, tried) == (COARSEST_FOR_PSNR, [COARSEST_FOR_PSNR])
     elif found > 1.0:
-        assert found <= limit < found * COARSEST ** (1 / 2**HALVINGS) * (1 + 1e-9)
+        assert found <= limit < found * COARSEST_FOR_PSNR ** (1 / 2**HALVINGS) * (1 + 1e-9)
     else:
-        assert limit < COARSEST ** (1 / 2**HALVINGS) * (1 + 1e-9)
+        assert limit < COARSEST_FOR_PSNR ** (1 / 2**HALVINGS) * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("storage", ["held", "blocks"])

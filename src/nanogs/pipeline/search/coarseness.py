@@ -1,4 +1,4 @@
-"""Search for the coarseness of rounding with which a file fills a size."""
+"""Search for the coarseness of rounding with which a file fills a size, or just has a PSNR."""
 
 import math
 from collections.abc import Callable
@@ -13,6 +13,8 @@ FINER, COARSEST = 0.8, 1.6
 FINEST = 1 / 64  # if no more splats fit; values are then nearly the nearest
 # How much the logarithm of the bytes falls with that of the coarseness: at first, and at least.
 USUAL_FALL, LEAST_FALL = 0.05, 0.02
+
+COARSEST_FOR_PSNR, HALVINGS = 2.5, 3  # the limit of `coarsest`, and its steps below that
 
 T = TypeVar("T")
 
@@ -46,3 +48,24 @@ def fill_by_rounding(
         fall = max(math.log(before[1] / found[1]) / (following - coarseness), LEAST_FALL)
         coarseness = following
     return found if ENOUGH * size <= found[1] <= size else usual
+
+
+def coarsest(reaches: Callable[[float], bool]) -> float:
+    """Return the coarseness of rounding, 1 or more, with which a result still reaches its PSNR.
+
+    Results are mostly somewhat better than asked. Coarser values use that up for a smaller file at
+    once, while another count needs another fit.
+
+    Args:
+        reaches: Whether the result does so with a coarseness.
+    """
+    if reaches(COARSEST_FOR_PSNR):
+        return COARSEST_FOR_PSNR
+    fine, coarse = 0.0, math.log(COARSEST_FOR_PSNR)
+    for _ in range(HALVINGS):
+        middle = (fine + coarse) / 2
+        if reaches(math.exp(middle)):
+            fine = middle
+        else:
+            coarse = middle
+    return math.exp(fine)

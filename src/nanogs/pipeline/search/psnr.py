@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from nanogs.pipeline.estimates.stage_weights import COUNTS
+from nanogs.pipeline.search.coarseness import coarsest
 from nanogs.pipeline.search.packer import PackingForPsnr
 from nanogs.pipeline.search.results import Attempts, Delivered, Found, M, Results, T
 from nanogs.progress import Stage, Tracker
@@ -30,7 +31,6 @@ USUAL_SLOPE = 3.0  # dB for e times the splats; trained scenes: 2 to 5
 SLOPES = 1.0, 10.0  # dB, limits of a measured slope: beyond them, small unevennesses mislead
 MOST_LOG_CHANGE = 3.0  # largest change of the log of the count at once, while one side is unknown
 FAR = 0.7  # share of the largest count, beyond which the largest is tried at once
-COARSEST, HALVINGS = 2.5, 3  # most coarsely that values are rounded, and steps to find how coarsely
 HOPELESS_DB = 6.0  # dB that a quick result may lack and delivered results still be tried
 
 _Probe = ProbeReport | None
@@ -198,27 +198,6 @@ def search_psnr(pack: PackingForPsnr[T], asked: float, views: HeldOut) -> Delive
     small = rounded(result, coarseness)
     fields = {"probes": found.probes, "stop": found.stop, "judged": measured(small, views.judge)}
     return Delivered(small, fields | pack.report_fields(result), pack.notes)
-
-
-def coarsest(reaches: Callable[[float], bool]) -> float:
-    """Return the coarseness of rounding, 1 or more, with which a result still reaches its PSNR.
-
-    Results are mostly somewhat better than asked. Coarser values use that up for a smaller file at
-    once, while another count needs another fit.
-
-    Args:
-        reaches: Whether the result does so with a coarseness.
-    """
-    if reaches(COARSEST):
-        return COARSEST
-    fine, coarse = 0.0, math.log(COARSEST)
-    for _ in range(HALVINGS):
-        middle = (fine + coarse) / 2
-        if reaches(math.exp(middle)):
-            fine = middle
-        else:
-            coarse = middle
-    return math.exp(fine)
 
 
 def reach_psnr(
