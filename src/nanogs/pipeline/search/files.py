@@ -149,7 +149,7 @@ class Files(Protocol[R]):
         """
 
     def stored(self, result: R, options: Options) -> AbstractContextManager[Splats | Source]:
-        """Open a result, rounded or not, as its file holds it, in the frame of the original."""
+        """Open a result, rounded or not, as its file holds or shows it, in the original's frame."""
 
     def unwritten(self, result: R) -> AbstractContextManager[Splats | Source]:
         """Open a result as it is before it is written, in the frame of the original."""
@@ -190,6 +190,14 @@ class HeldFiles(Files[Outcome]):
         """Return the number of splats of a result; see `Files.count`."""
         return len(result.splats)
 
+    def rounded(self, result: Outcome, options: Options, coarseness: float = 1.0) -> Outcome:
+        """Return a result whose values are rounded to pack well; see `Files.rounded`."""
+        if self.curvatures(result) is None:
+            return result
+        with self.clock.time("encode"):
+            given = self.with_given(options)
+            return rounded(result, self.output, given, self.frame, coarseness)
+
     def curvatures(self, result: Outcome) -> Curvatures | None:
         """Return how much a result's values show; see `Files.curvatures`."""
         return result.curvatures if self.known.quantisation else None
@@ -198,14 +206,6 @@ class HeldFiles(Files[Outcome]):
         """Return a rounded result and the bytes of its file; see `Files.packed`."""
         small = self.rounded(result, options, coarseness)
         return small, self.sample_bytes(small.splats, options)
-
-    def rounded(self, result: Outcome, options: Options, coarseness: float = 1.0) -> Outcome:
-        """Return a result whose values are rounded to pack well; see `Files.rounded`."""
-        if self.curvatures(result) is None:
-            return result
-        with self.clock.time("encode"):
-            given = self.with_given(options)
-            return rounded(result, self.output, given, self.frame, coarseness)
 
     def measure(self, result: Outcome, sh_degree: int, options: Options) -> PackingReport:
         """Encode a result and measure its bytes and quality; see `Files.measure`."""

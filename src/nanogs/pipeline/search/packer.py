@@ -197,10 +197,7 @@ class Packer(Generic[T]):
         def made(share: float) -> PackingReport:
             some = self.deliverable(round(share * count))
             part = self.progress.within(0, PACKINGS, plain.stages(some))
-            _, found = plain.make_and_measure(
-                some, lambda one: asdict(self._measure(one, packing)), part
-            )
-            return PackingReport(**found)
+            return _make_and_measure_file(plain, self.files, some, packing, part)
 
         return slope_of(self.choices, *map(made, CUTS))
 
@@ -217,7 +214,7 @@ class Packer(Generic[T]):
 
         def measure(result: T) -> dict[str, Any]:
             part.begin("encode")
-            found = measure_files(partial(self._measure, result))
+            found = measure_files(partial(_measure_file, self.files, result))
             file = found[0]
             if not measured.reports:  # results after the first are made for their bits
                 alike = [each for each in found if measured.is_packed_as(each, packing)]
@@ -237,9 +234,20 @@ class Packer(Generic[T]):
         coarseness = self.choices.coarseness(file)
         return self.files.packed(result, file.options, coarseness)[1] / file.bytes
 
-    def _measure(self, result: T, packing: Packing) -> PackingReport:
-        options = packing.options(self.files.count(result))
-        return self.files.measure(result, packing.sh_degree, options)
+
+def _measure_file(files: Files[T], result: T, packing: Packing) -> PackingReport:
+    """Measure the file of a result in a packing."""
+    return files.measure(result, packing.sh_degree, packing.options(files.count(result)))
+
+
+def _make_and_measure_file(
+    results: Results[T], files: Files[T], count: int, packing: Packing, progress: Tracker
+) -> PackingReport:
+    """Make the result of a count, and measure its file in a packing."""
+    _, found = results.make_and_measure(
+        count, lambda result: asdict(_measure_file(files, result, packing)), progress
+    )
+    return PackingReport(**found)
 
 
 def _result_of(file: PackingReport) -> _ResultKey:
@@ -291,13 +299,11 @@ class PackingForPsnr(Generic[T]):
 
         A fitted result of the count is better than the cut, so that fewer splats reach the PSNR.
         """
+        packing = Packing(choices.degrees[-1])
 
         def measured(number: int, some: Results[T]) -> PackingReport:
-            def measure(result: T) -> dict[str, Any]:
-                return asdict(self.files.measure(result, choices.degrees[-1], {}))
-
             part = self.progress.within(number, 2, some.stages(count))
-            return PackingReport(**some.make_and_measure(count, measure, part)[1])
+            return _make_and_measure_file(some, self.files, count, packing, part)
 
         cut, brief = map(measured, (0, 1), (self.results.plain(rounds=0), self.results.brief()))
         gained = max(choices.quality(brief) - cut.psnr, 0.0)
