@@ -118,13 +118,13 @@ def _one_pass(
         pairs = neighbour_pairs(nodes.means, parameters.k)
     on_share(0.5)
     with clock.time("cost"):
-        dets = np.empty(count)
-        log_determinants(nodes.covariances, dets)
-        costs = _costs(pairs, nodes, dets, parameters)
+        log_dets = np.empty(count)
+        log_determinants(nodes.covariances, log_dets)
+        costs = _costs(pairs, nodes, log_dets, parameters)
     on_share(0.65)
     with clock.time("match"):
         plan = match(pairs, costs, count, count // 2)
-        chosen = _increments(merge_increments, plan.pairs, nodes, dets)
+        chosen = _increments(merge_increments, plan.pairs, nodes, log_dets)
     report = PassReport(
         count_before=count,
         candidates=len(pairs),
@@ -137,7 +137,7 @@ def _one_pass(
     return plan, chosen, report
 
 
-def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) -> F32:
+def _costs(pairs: I32, nodes: Nodes, log_dets: F64, parameters: ForestParameters) -> F32:
     """Compute (E,) float32 costs, weighted sums of the increments.
 
     Done in slices, because all increments would take twice the memory.
@@ -146,7 +146,7 @@ def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) ->
 
     def weigh(part: slice) -> None:
         some = np.ascontiguousarray(pairs[part])
-        increments = _increments(merge_increments.here, some, nodes, dets)
+        increments = _increments(merge_increments.here, some, nodes, log_dets)
         with np.errstate(over="ignore"):  # a cost beyond float32 is infinite and comes last
             increments[:, 0] *= np.float32(parameters.lambda_app)
             np.add(increments[:, 0], increments[:, 1], out=costs[part])
@@ -155,14 +155,14 @@ def _costs(pairs: I32, nodes: Nodes, dets: F64, parameters: ForestParameters) ->
     return costs
 
 
-def _increments(call: Callable[..., None], pairs: I32, nodes: Nodes, dets: F64) -> F32:
+def _increments(call: Callable[..., None], pairs: I32, nodes: Nodes, log_dets: F64) -> F32:
     """Compute the (P, 2) float32 increments of pairs.
 
     `call` is `merge_increments` on all threads, or its `here` on this thread alone.
     """
     increments = np.empty((len(pairs), 2), dtype=np.float32)
     call(
-        pairs, nodes.weights, nodes.means, nodes.covariances, dets,
+        pairs, nodes.weights, nodes.means, nodes.covariances, log_dets,
         nodes.features, nodes.rows, nodes.second_rows, nodes.shares, increments,
     )  # fmt: skip
     return increments

@@ -61,7 +61,7 @@ def _blur_groups(merged: Nodes, leaves: Nodes, labels: I32, blurs: F32) -> None:
 def _move(leaves: Nodes, labels: I32, groups: int, blurs: F32) -> I32:
     """Move single splats to where the error of all groups falls the most; see `best_moves`."""
     labels = labels.copy()
-    targets, gains, dets = np.empty_like(labels), np.empty(len(labels)), np.empty(groups)
+    targets, gains, log_dets = np.empty_like(labels), np.empty(len(labels)), np.empty(groups)
     candidates = None
     for _ in range(MOVES):
         starts, members = member_lists(labels, groups)
@@ -71,11 +71,11 @@ def _move(leaves: Nodes, labels: I32, groups: int, blurs: F32) -> I32:
         _blur_groups(merged, leaves, labels, blurs)
         if candidates is None:  # moves hardly change which groups are near
             candidates = nearest_neighbours(merged.means, NEIGHBOURS)
-        log_determinants(merged.covariances, dets)
+        log_determinants(merged.covariances, log_dets)
         best_moves(
             labels, sizes, candidates,
             leaves.weights, leaves.means, leaves.covariances, blurs, leaves.features, leaves.rows,
-            merged.weights, merged.means, merged.covariances, dets, merged.features, MOVES_APP,
+            merged.weights, merged.means, merged.covariances, log_dets, merged.features, MOVES_APP,
             targets, gains,
         )  # fmt: skip
         del merged  # frees memory for the next ones
@@ -90,8 +90,8 @@ def _move(leaves: Nodes, labels: I32, groups: int, blurs: F32) -> I32:
 def _one_round(leaves: Nodes, labels: I32, groups: int, blurs: F32) -> I32:
     merged = gather(leaves, labels, groups)
     _blur_groups(merged, leaves, labels, blurs)
-    inverses, dets = np.empty((groups, 6)), np.empty(groups)
-    invert_covariances(merged.covariances, inverses, dets)
+    inverses, log_dets = np.empty((groups, 6)), np.empty(groups)
+    invert_covariances(merged.covariances, inverses, log_dets)
     candidates = nearest_neighbours(merged.means, NEIGHBOURS)
     moved, distances = np.empty_like(labels), np.empty(len(labels))
     assign_nearest(
@@ -104,7 +104,7 @@ def _one_round(leaves: Nodes, labels: I32, groups: int, blurs: F32) -> I32:
         leaves.rows,
         merged.means,
         inverses,
-        dets,
+        log_dets,
         merged.features,
         LAMBDA_APP,
         moved,

@@ -23,7 +23,7 @@ def log_masses(gaussians: Gaussians) -> F64:
         return volumes + np.log(gaussians.opacities)
 
 
-def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperParameters) -> F32:
+def pair_costs(gaussians: Gaussians, pairs: I32, log_mass: F64, parameters: PaperParameters) -> F32:
     """Compute the cost C = lambda_geo D_geo + lambda_app |f_i - f_j|^2 of each pair.
 
     D_geo is the Kullback-Leibler divergence from the pair, as a mixture, to the single Gaussian of
@@ -32,7 +32,7 @@ def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperP
     Args:
         gaussians: N splats.
         pairs: (E, 2) rows.
-        masses: (N,) from `log_masses`.
+        log_mass: (N,) from `log_masses`.
         parameters: samples, seed, lambda_geo and lambda_app are used.
 
     Returns:
@@ -47,7 +47,7 @@ def pair_costs(gaussians: Gaussians, pairs: I32, masses: F64, parameters: PaperP
             gaussians.means,
             gaussians.scales,
             gaussians.quats,
-            masses,
+            log_mass,
             gaussians.features,
             gaussians.rows,
             gaussians.second_rows,

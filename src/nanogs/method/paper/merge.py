@@ -10,7 +10,7 @@ from nanogs.method.match import MergePlan
 from nanogs.method.paper.gaussians import Gaussians
 
 
-def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:
+def merge(gaussians: Gaussians, plan: MergePlan, log_mass: F64) -> Gaussians:
     """Replace each pair of the plan by one splat, in the place of its first row.
 
     mu_m = (w_i mu_i + w_j mu_j) / W, Sigma_m = sum_k w_k (Sigma_k + d_k d_k^T) / W,
@@ -19,7 +19,7 @@ def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:
     Args:
         gaussians: N splats.
         plan: P disjoint pairs of rows.
-        masses: (N,) from `log_masses`.
+        log_mass: (N,) float64, log(w) of each splat, from `log_masses`.
 
     Returns:
         N - P splats; the rows that the plan does not name are unchanged and in order.
@@ -36,7 +36,7 @@ def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:
     merge_pairs(
         plan.pairs,
         rows,
-        masses,
+        log_mass,
         gaussians.means,
         gaussians.scales,
         gaussians.quats,
@@ -47,7 +47,7 @@ def merge(gaussians: Gaussians, plan: MergePlan, masses: F64) -> Gaussians:
         result.opacities,
         shares,
     )
-    dominant = np.where(masses[second] > masses[first], second, first)
+    dominant = np.where(log_mass[second] > log_mass[first], second, first)
     result.sources[rows] = gaussians.sources[dominant]
     result.merged[rows] = True
     if not gaussians.merged.any():  # keep referring to the features of the model

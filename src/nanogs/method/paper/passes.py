@@ -77,7 +77,7 @@ def _one_pass(
     with clock.time("match"):
         plan = match(pairs, costs, count, limit)
     candidates = len(pairs)
-    del pairs, costs  # masses are computed again below: memory peaks in the matching
+    del pairs, costs  # the masses are computed again below, because memory peaks in the matching
     on_share(0.9)
     with clock.time("merge"):
         merged = merge(gaussians, plan, log_masses(gaussians))
