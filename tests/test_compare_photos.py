@@ -90,7 +90,7 @@ def test_the_background_can_be_given(folder):
 def test_little_memory_gives_the_same_scores(folder, monkeypatch):
     paths = [folder / "scene.ply", folder / "small.ply"]
     in_memory = nanogs.compare(*paths, photos=folder / "data")
-    monkeypatch.setattr("nanogs.scoring.measure.room_for_comparison", lambda *_, **__: 10_000_000)
+    monkeypatch.setattr("nanogs.scoring.measure.budget_for_comparison", lambda *_, **__: 10_000_000)
     streamed = nanogs.compare(*paths, photos=folder / "data")
     assert [model.views for model in in_memory.models] == [model.views for model in streamed.models]
 

@@ -209,7 +209,7 @@ def test_models_that_are_read_in_blocks_have_the_same_draw_cost(pair):
         NamedModel(pair[0].name, nanogs.open(pair[0])),
         [NamedModel(pair[1].name, nanogs.open(pair[1]))],
         view_sets(nanogs.load(pair[0]), ["auto"], [(64, 64)], views=2),
-        scoring=Scoring(costs=True, room=LEAST),
+        scoring=Scoring(costs=True, budget=LEAST),
     )[0]
     assert streamed.models[0].cost == in_memory.models[0].cost
     assert streamed.reference_cost == in_memory.reference_cost

@@ -82,7 +82,7 @@ def render(
     from nanogs.views.cameras import chosen_cameras, known_cameras
     from nanogs.views.costing import pictures_of
     from nanogs.views.pictures import render_images
-    from nanogs.views.plan import rendering_remedy, room_for_pictures
+    from nanogs.views.plan import budget_for_pictures, rendering_remedy
 
     refuse_address(target, "pictures are written to a folder or file: name one")
     wanted = known_cameras(cameras)
@@ -94,16 +94,16 @@ def render(
         open_model(file, level=level, render_mode=render_mode) as opened,
     ):
         remedy = rendering_remedy(wanted)
-        room = room_for_pictures(opened, largest, 0, run.max_memory, remedy=remedy)
+        budget = budget_for_pictures(opened, largest, 0, run.max_memory, remedy=remedy)
         with shown(quiet=run.hushed) as watch, use_threads(run.threads):
             progress = Tracker(watch, stages)
             progress.begin("read")
-            model = opened.load() if room is None else Noted(opened)
+            model = opened.load() if budget is None else Noted(opened)
             progress.begin("cameras")
             chosen, _ = chosen_cameras(model, wanted, count, (width, height), up)
             written, notes = render_images(
                 model, chosen, target, background=color, transparent=transparent, depth=depth,
-                overwrite=run.overwrite, room=room, progress=progress.passing(),
+                overwrite=run.overwrite, budget=budget, progress=progress.passing(),
             )  # fmt: skip
             progress.finish()
     said = f"{target}: {counted(len(written), 'image')}"

@@ -43,7 +43,7 @@ from nanogs.report import SimplifyReport
 from nanogs.sink import Sink, Written, held_splats
 from nanogs.source import Joined, Layout
 from nanogs.store.columns import no_splats, row_bytes
-from nanogs.views.plan import room_for_measuring
+from nanogs.views.plan import budget_for_measuring
 
 if TYPE_CHECKING:
     from nanogs.pipeline.request import Request
@@ -226,7 +226,7 @@ def _refuse_no_room_to_measure(request: "Request", *, searched: bool) -> None:
     # The default of workers says nothing about this machine, where results are measured.
     allowed = None if request.limit is MemoryLimit.DEFAULT else request.max_memory
     with Joined(open_parts(request.inputs, request.render_mode)) as source:
-        room_for_measuring(source, allowed, remedy)
+        budget_for_measuring(source, allowed, remedy)
 
 
 def _refuse_small_size(request: "Request", settings: Settings) -> None:

@@ -35,7 +35,7 @@ class NamedModel:
 
     Attributes:
         name: Its name; models of one name count as one method at several sizes.
-        splats: The model. A source is read some rows at a time if `Scoring` has `room`, and
+        splats: The model. A source is read some rows at a time if `Scoring` has a `budget`, and
             otherwise loaded.
         file_bytes: Size of its file, or None.
         packed_as: Suffix of the format if the model is read back from a packed file; it is then
@@ -146,14 +146,13 @@ class Scoring:
         extras: Further metrics, names in `scoring.scores.EXTRA_METRICS`.
         pictures: Whether the pictures for a page are made, too; otherwise there are no sheets.
         costs: Whether the draw costs are measured, too.
-        room: Bytes for splats while rendering, to read models some rows at a time; None to load
-            them.
+        budget: Bytes for the splats of images, to stream models; None to hold them in memory.
     """
 
     extras: Sequence[str] = ()
     pictures: bool = False
     costs: bool = False
-    room: int | None = None
+    budget: int | None = None
 
 
 USUAL = Scoring()
@@ -186,7 +185,7 @@ def compare_models(
     """
     progress = progress or Tracker(None, [])
     progress.begin("render")
-    drawn = drawable(reference.splats, scoring.room)
+    drawn = drawable(reference.splats, scoring.budget)
     views, skipped = reference_views(drawn, cameras, background, progress.part)
     del drawn
     notes = notes_on_views(skipped, "nothing of the reference is visible; left out of every mean")
@@ -276,7 +275,7 @@ def score_models(
 
         found = score(
             model.name,
-            drawable(model.splats, scoring.room),
+            drawable(model.splats, scoring.budget),
             views,
             protocol.background,
             file_bytes=model.file_bytes,

@@ -24,7 +24,7 @@ from nanogs.scoring.unpacked import UnpackedModel
 from nanogs.source import Source
 from nanogs.splats import Splats
 from nanogs.views.cameras import cameras_for
-from nanogs.views.plan import room_for_measuring
+from nanogs.views.plan import budget_for_measuring
 from nanogs.views.streamed import Streamed, drawable, renderings
 
 SELECTION_ROAMING = 16  # number of roaming views in `selection_views`
@@ -174,4 +174,4 @@ def as_drawn(model: Splats | Source, max_memory: int | None) -> PreparedSplats |
     """Prepare a model for rendering: `Splats` in memory, a source some rows at a time."""
     if isinstance(model, Splats):
         return drawable(model, None)
-    return drawable(model, room_for_measuring(model, max_memory))
+    return drawable(model, budget_for_measuring(model, max_memory))

@@ -17,7 +17,7 @@ from nanogs.scoring.comparison import (
     Sheet,
     compare_with_photographs,
 )
-from nanogs.scoring.needed import room_for_comparison
+from nanogs.scoring.needed import budget_for_comparison
 from nanogs.scoring.on_sets import compare_on_sets
 from nanogs.scoring.packed_models import (
     files_of,
@@ -65,9 +65,9 @@ class Measurement:
     pictures: bool = False
     shown: bool = False
 
-    def scoring(self, room: int | None) -> Scoring:
+    def scoring(self, budget: int | None) -> Scoring:
         """Return what is measured of each model, draw costs included; see `Scoring`."""
-        return Scoring(extras=self.extras, pictures=self.pictures, costs=True, room=room)
+        return Scoring(extras=self.extras, pictures=self.pictures, costs=True, budget=budget)
 
 
 class ScoredModels(NamedTuple):
@@ -108,17 +108,17 @@ def measure(
     check_metrics(how.extras)
     asked = how.views
     views = photographs(*asked, how.background) if isinstance(asked, Photographs) else asked
-    room = _room([source for _name, source in models], views, how)
+    budget = _budget([source for _name, source in models], views, how)
     entries = [(name, source, "") for name, source in models]
     if how.packing:
         entries[1:] = write_packed_files(models[1:], how.packing, stack, how.max_memory, progress)
-        room = _room([source for _name, source, _suffix in entries], views, how)
+        budget = _budget([source for _name, source, _suffix in entries], views, how)
     progress.begin("read")
-    ready = [named(*entry, whole=room is None) for entry in each(entries, progress.part)]
+    ready = [named(*entry, whole=budget is None) for entry in each(entries, progress.part)]
     if isinstance(views, PhotoViews):
-        found = _on_photographs(ready, views, how, room, progress)
+        found = _on_photographs(ready, views, how, budget, progress)
     else:
-        found = _on_views(ready, views, how, room, progress)
+        found = _on_views(ready, views, how, budget, progress)
     notes = reading_notes(models, [model for model in ready if not model.packed_as])
     notes += (*other_frames(models), *packing_notes(models[1:], how.packing))
     notes += found.comparison.notes
@@ -129,13 +129,13 @@ def _on_views(
     models: list[NamedModel],
     views: ComparedViews,
     how: Measurement,
-    room: int | None,
+    budget: int | None,
     progress: Tracker,
 ) -> ScoredModels:
     sets, behind = views.sets(models[0].splats), how.background or BLACK
     comparison, sheets = compare_on_sets(
         models[0], models[1:], sets,
-        background=behind, scoring=how.scoring(room), progress=progress,
+        background=behind, scoring=how.scoring(budget), progress=progress,
     )  # fmt: skip
     return ScoredModels(comparison, sheets, models, sets[0].cameras, behind)
 
@@ -144,7 +144,7 @@ def _on_photographs(
     models: list[NamedModel],
     photos: PhotoViews,
     how: Measurement,
-    room: int | None,
+    budget: int | None,
     progress: Tracker,
 ) -> ScoredModels:
     asked = how.views
@@ -152,25 +152,25 @@ def _on_photographs(
     progress.begin("photographs")
     comparison, sheets = compare_with_photographs(
         str(asked.folder), models, list(photos), split=asked.split,
-        background=photos.background, scoring=how.scoring(room), progress=progress,
+        background=photos.background, scoring=how.scoring(budget), progress=progress,
     )  # fmt: skip
     comparison = replace(comparison, notes=(*comparison.notes, *photos.notes))
     return ScoredModels(comparison, sheets, models, photos.cameras, photos.background)
 
 
-def _room(
+def _budget(
     sources: Sequence[Splats | Source], views: ComparedViews | PhotoViews, how: Measurement
 ) -> int | None:
     """Return the bytes left for splats while rendering, or None if all models are held."""
     kept = 2 if how.packing else 1  # the renders of unpacked models are kept too
     if isinstance(views, PhotoViews):
         largest = max(camera.width * camera.height for camera in views.cameras)
-        return room_for_comparison(
+        return budget_for_comparison(
             sources, largest, 1, how.max_memory, photographs=kept * held_bytes(views),
             remedy=photographs_remedy(views), shown=how.shown,
         )  # fmt: skip
     pixels, count = views.pictures
-    return room_for_comparison(
+    return budget_for_comparison(
         sources, pixels, kept * count, how.max_memory, remedy=views.remedy, shown=how.shown
     )
 

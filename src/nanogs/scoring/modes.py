@@ -25,7 +25,7 @@ from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras, picture_size
 from nanogs.views.costing import pictures_of, protocol_of
-from nanogs.views.plan import rendering_remedy, room_for_pictures
+from nanogs.views.plan import budget_for_pictures, rendering_remedy
 
 if TYPE_CHECKING:
     from nanogs._types import F32, F64
@@ -210,8 +210,8 @@ def render_findings(
                 wanted, behind, notes = list(found.cameras), found.background, found.notes
                 held, remedy = held_bytes(found), photographs_remedy(found)
             size = pictures_of(wanted, views, pixels)
-            room = room_for_pictures(source, *size, limit, photographs=held, remedy=remedy)
-            some = source_of(source).load() if room is None else source
+            budget = budget_for_pictures(source, *size, limit, photographs=held, remedy=remedy)
+            some = source_of(source).load() if budget is None else source
             chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
             if frames:
                 kind = "photographs"
@@ -220,7 +220,7 @@ def render_findings(
             tracker.begin("render")
             protocol = protocol_of(chosen, kind, split if frames else "test", behind)
             truth = [view.image for view in frames]  # decoded here
-            modes = evidence_on(some, chosen, protocol, truth, room, tracker.part)
+            modes = evidence_on(some, chosen, protocol, truth, budget, tracker.part)
             cost = None
             if costs:
                 tracker.begin("cover")
@@ -234,7 +234,7 @@ def evidence_on(
     cameras: "Sequence[Camera]",
     protocol: Protocol,
     photographs: "Sequence[F32]",
-    room: int | None,
+    budget: int | None,
     on_progress: PartProgress,
 ) -> ModeEvidence:
     """Compute the evidence on given views, each rendered in both modes.
@@ -244,8 +244,7 @@ def evidence_on(
         cameras: The views.
         protocol: Their kind, number, size and split.
         photographs: (H, W, 3) for each view, or none.
-        room: Bytes for splats while rendering, to read the model some rows at a time; None to load
-            it.
+        budget: Bytes for the splats of images, to stream the model; None to hold it in memory.
         on_progress: Receives the progress in images rendered.
     """
     import numpy as np
@@ -259,7 +258,7 @@ def evidence_on(
     leaks, apart = np.zeros(2), []
     psnrs: dict[RenderMode, list[float]] = {mode: [] for mode in MODES if photographs}
     for mode in MODES:
-        tagged = drawable(Tagged(source_of(model), mode), room)
+        tagged = drawable(Tagged(source_of(model), mode), budget)
         done = MODES.index(mode) * len(cameras)
         pictures = renderings(tagged, cameras, background=protocol.background)
         for number, picture in enumerate(pictures):

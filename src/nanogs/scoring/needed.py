@@ -7,10 +7,10 @@ from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import compare_bytes, models_bytes, pictures_bytes, scoring_bytes
 from nanogs.source import Source, source_of
 from nanogs.splats import Splats
-from nanogs.views.plan import room_for_splats
+from nanogs.views.plan import budget_for_splats
 
 
-def room_for_comparison(
+def budget_for_comparison(
     models: Sequence[Splats | Source],
     pixels: int,
     views: int,
@@ -49,7 +49,7 @@ def room_for_comparison(
     held = models_bytes([model for model in models if isinstance(model, Splats)], all_of_it=given)
     others = held + photographs + pictures_bytes(pixels, views)
     read = [source_of(model) for model in models]
-    return room_for_splats("Comparing these models", read, others, memory, remedy)
+    return budget_for_splats("Comparing these models", read, others, memory, remedy)
 
 
 def needed_bytes(

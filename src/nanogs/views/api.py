@@ -12,7 +12,7 @@ from nanogs.ranges import as_switch
 from nanogs.source import source_of
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras
 from nanogs.views.costing import pictures_of
-from nanogs.views.plan import rendering_remedy, room_for_pictures
+from nanogs.views.plan import budget_for_pictures, rendering_remedy
 
 
 def render(
@@ -65,10 +65,10 @@ def render(
     transparent = as_switch("`transparent`", transparent)
     with opened(model) as source:
         most = None if max_memory is None else as_bytes(max_memory)
-        room = room_for_pictures(
+        budget = budget_for_pictures(
             source, *pictures_of(wanted, views, pixels), most, remedy=rendering_remedy(wanted)
         )
-        some = source_of(source).load() if room is None else source
+        some = source_of(source).load() if budget is None else source
         # Imported late, because these import Numba.
         from nanogs.card.device import use_device
         from nanogs.raster.images import straight
@@ -81,7 +81,7 @@ def render(
             chosen, _ = chosen_cameras(some, wanted, views, pixels, up)
             tracker = Tracker(on_step, [Stage("render", 1.0)])
             shown = renderings(
-                drawable(some, room), chosen, background=behind, on_progress=tracker.part
+                drawable(some, budget), chosen, background=behind, on_progress=tracker.part
             )
             images = [straight(each) if transparent else each.shown() for each in shown]
             tracker.finish()

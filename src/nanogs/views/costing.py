@@ -11,7 +11,7 @@ from nanogs.quantities import as_bytes
 from nanogs.raster.camera import Camera
 from nanogs.source import source_of
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras, picture_size, view_count
-from nanogs.views.plan import rendering_remedy, room_for_pictures
+from nanogs.views.plan import budget_for_pictures, rendering_remedy
 
 
 def draw_cost(
@@ -56,10 +56,10 @@ def draw_cost(
     wanted = known_cameras(cameras, up, views, pixels)
     limit = None if max_memory is None else as_bytes(max_memory)
     with opened(model) as source:
-        room = room_for_pictures(
+        budget = budget_for_pictures(
             source, *pictures_of(wanted, views, pixels), limit, remedy=rendering_remedy(wanted)
         )
-        some = source_of(source).load() if room is None else source
+        some = source_of(source).load() if budget is None else source
         # Imported late, because these import Numba.
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on

@@ -36,7 +36,7 @@ def render_images(
     transparent: bool = False,
     depth: bool = False,
     overwrite: bool = False,
-    room: int | None = None,
+    budget: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[list[str], list[str]]:
     """Render each camera into a PNG file named after it, or a single one into a file of any name.
@@ -53,8 +53,7 @@ def render_images(
         depth: Also write `<name>_depth.png`, 16 bits: 65535 is the nearest depth of the view, 1 the
             farthest, 0 nothing.
         overwrite: Replace files that exist.
-        room: Budget in bytes for the splats of images, to stream the model; None to hold it in
-            memory.
+        budget: Bytes for the splats of images, to stream the model; None to hold it in memory.
         progress: Called with each `nanogs.progress.Step`; the views are parts of one stage.
 
     Returns:
@@ -82,7 +81,7 @@ def render_images(
     tracker = Tracker(progress, [Stage("render", 1.0)])
     behind = BLACK if transparent else background  # straight alpha needs a render over black
     shown = renderings(
-        drawable(model, room), cameras, background=behind, depth=depth, on_progress=tracker.part
+        drawable(model, budget), cameras, background=behind, depth=depth, on_progress=tracker.part
     )
     with _filled(folder) as place:
         notes = _write(shown, files, place, transparent=transparent, overwrite=overwrite)

@@ -31,7 +31,7 @@ def rendering_remedy(wanted: str | Sequence[Camera]) -> str:
     return f"{FEWER_CAMERAS}, or render a smaller model"
 
 
-def room_for_pictures(
+def budget_for_pictures(
     model: Splats | Source,
     pixels: int,
     views: int,
@@ -63,10 +63,10 @@ def room_for_pictures(
         return None
     pictures += held if isinstance(model, Splats) else 0
     read = source_of(model)
-    return room_for_splats(f"Rendering {read.name}", [read], pictures, memory, remedy)
+    return budget_for_splats(f"Rendering {read.name}", [read], pictures, memory, remedy)
 
 
-def room_for_measuring(
+def budget_for_measuring(
     model: Source, max_memory: int | None, remedy: str = "leave out the measurement"
 ) -> int:
     """Compute the budget for the splats of the views when streamed models are measured.
@@ -80,10 +80,10 @@ def room_for_measuring(
         NotEnoughMemoryError: There is not enough memory.
     """
     pictures, remedy = pictures_bytes(PIXELS**2, VIEWS), f"provide more, or {remedy}"
-    return room_for_splats("Measuring", [model], pictures, allowed_memory(max_memory), remedy)
+    return budget_for_splats("Measuring", [model], pictures, allowed_memory(max_memory), remedy)
 
 
-def room_for_splats(
+def budget_for_splats(
     what: str, models: Sequence[Source], pictures: int, memory: Memory, remedy: str
 ) -> int:
     """Compute the budget, in bytes, for the splats of images when models are streamed.

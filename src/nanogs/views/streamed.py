@@ -56,24 +56,23 @@ class Streamed:
         return self.source.count
 
 
-def drawable(model: Splats | Source, room: int | None) -> PreparedSplats | Streamed:
+def drawable(model: Splats | Source, budget: int | None) -> PreparedSplats | Streamed:
     """Prepare a model for `renderings`.
 
     Args:
         model: The model.
-        room: Budget in bytes for the splats of images, to stream the model; None to hold it in
-            memory.
+        budget: Bytes for the splats of images, to stream the model; None to hold it in memory.
 
     Raises:
         OptionError: It is to be streamed, and the device in use is not the CPU.
     """
-    if room is not None:
+    if budget is not None:
         if engine_in_use() is not None:
             raise OptionError(
                 "A model that does not fit into memory can only be rendered on the CPU; use"
                 ' `device="cpu"`, or allow more memory with `max_memory`.'
             )
-        return Streamed(source_of(model), room)
+        return Streamed(source_of(model), budget)
     return prepare(model.load() if isinstance(model, Source) else model)
 
 
