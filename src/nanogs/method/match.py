@@ -4,6 +4,7 @@ A stage of both methods; stage 4 of the published one.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +49,24 @@ class MergePlan:
         return len(self.pairs)
 
 
+class _Candidates(NamedTuple):
+    """The pairs that may be matched, and the rows that are matched so far.
+
+    Attributes:
+        firsts: (E,) int32, the smaller row of each pair, ascending.
+        seconds: (E,) int32, the larger row of each pair.
+        costs: (E,) float32; NaN for a pair that is no candidate.
+        taken: (N,) bool, the rows that are matched; changed by each stage of the matching.
+        bounds: (S + 1,) int64, first pair whose smaller row is in each stretch of rows, and E.
+    """
+
+    firsts: I32
+    seconds: I32
+    costs: F32
+    taken: Bool
+    bounds: I64
+
+
 def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     """Match greedily: take pairs in ascending order of (cost, pair) while both ends are free.
 
@@ -76,8 +95,9 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     starts = np.minimum(np.arange(stretches + 1) * STRETCH, rows)
     # int32 like the pairs, which would be copied otherwise.
     bounds = np.searchsorted(firsts, starts.astype(np.int32))
-    joined = _agree(firsts, seconds, costs, taken, starts, bounds)
-    left, without_cost = _match_sorted(firsts, seconds, costs, taken, bounds)
+    candidates = _Candidates(firsts, seconds, costs, taken, bounds)
+    joined = _agree(candidates, starts)
+    left, without_cost = _match_sorted(candidates)
     keys = np.concatenate((*joined, left))
     del joined, left
     keys.sort()
@@ -93,22 +113,23 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     return MergePlan(matched, prices, without_cost)
 
 
-def _agree(
-    firsts: I32, seconds: I32, costs: F32, taken: Bool, starts: I64, bounds: I64
-) -> list[U64]:  # fmt: skip
+def _agree(candidates: _Candidates, starts: I64) -> list[U64]:
     """Take pairs that are the cheapest of both their rows, in rounds; return their keys in parts.
 
     Stops when a round takes few: in a chain of ascending costs each round would take one.
+
+    Args:
+        candidates: The pairs.
+        starts: (S + 1,) first row of each stretch, and the number of rows.
     """
+    firsts, seconds, _, taken, bounds = candidates
     rows, stretches = len(taken), len(starts) - 1
     crossing, reached = _crossing(seconds, starts, bounds)
     bests: U64 = np.empty(rows, dtype=np.uint64)
     joined: U64 = np.full(rows, NONE, dtype=np.uint64)
     before, now = -rows, 0
     while now - before > FEW * rows:
-        offer_pairs(
-            firsts, seconds, costs, taken, bounds, crossing, reached, STRETCH, bests
-        )  # fmt: skip
+        offer_pairs(*candidates, crossing, reached, STRETCH, bests)
         join_pairs(firsts, seconds, bests, taken, joined)
         before, now = now, int(np.count_nonzero(taken))
     del bests
@@ -148,38 +169,39 @@ def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
     return pairs.take(order), ends
 
 
-def _match_sorted(
-    firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64
-) -> tuple[U64, int]:  # fmt: skip
+def _match_sorted(candidates: _Candidates) -> tuple[U64, int]:
     """Match the free rows by sorting; return the keys of the pairs and the number without cost."""
+    firsts, seconds, costs, taken, _ = candidates
     chosen: U64 = np.empty((len(taken) - np.count_nonzero(taken)) // 2, dtype=np.uint64)
     room = max(int(BATCH * len(taken)), SMALLEST_BATCH)
     count, end = 0, 0
     while end < ALL:
         end = ALL
-        free, without_cost = _count_free(firsts, seconds, costs, taken, bounds, end)
+        free, without_cost = _count_free(candidates, end)
         if free.sum() > room:
             counts = np.zeros(ALL, dtype=np.int64)
             tally_free(firsts, seconds, costs, taken, counts)
             end = _end_of_batch(counts, room)
-            free, _ = _count_free(firsts, seconds, costs, taken, bounds, end)
-        keys = _sorted_keys(firsts, seconds, costs, taken, bounds, end, free)
+            free, _ = _count_free(candidates, end)
+        keys = _sorted_keys(candidates, end, free)
         count = greedy_matching(firsts, seconds, keys, taken, chosen, count)
         del keys
     return chosen[:count], without_cost
 
 
-def _count_free(
-    firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64, end: int
-) -> tuple[I64, int]:  # fmt: skip
+def _count_free(candidates: _Candidates, end: int) -> tuple[I64, int]:
     """Count pairs of free rows below a bound of the cost.
+
+    Args:
+        candidates: The pairs.
+        end: Exclusive bound of the upper half of a cost's bits.
 
     Returns:
         (S,) int64 count for each stretch, and the number of pairs whose cost is NaN.
     """
-    free, without = np.zeros((2, len(bounds) - 1), dtype=np.int64)
+    free, without = np.zeros((2, len(candidates.bounds) - 1), dtype=np.int64)
     none: U64 = np.empty(0, dtype=np.uint64)
-    collect_free(firsts, seconds, costs, taken, bounds, end, free, without, none)
+    collect_free(*candidates, end, free, without, none)
     return free, int(without.sum())
 
 
@@ -194,12 +216,11 @@ def _end_of_batch(counts: I64, room: int) -> int:
     return max(int(np.searchsorted(np.cumsum(counts), room, side="right")), lowest + 1)
 
 
-def _sorted_keys(
-    firsts: I32, seconds: I32, costs: F32, taken: Bool, bounds: I64, end: int, free: I64
-) -> U64:  # fmt: skip
+def _sorted_keys(candidates: _Candidates, end: int, free: I64) -> U64:
+    """Return the ascending keys of the pairs that `_count_free` has counted, as `free`."""
     keys: U64 = np.empty(int(free.sum()), dtype=np.uint64)
     if len(keys):
         places, without = np.cumsum(free) - free, np.empty_like(free)
-        collect_free(firsts, seconds, costs, taken, bounds, end, places, without, keys)
+        collect_free(*candidates, end, places, without, keys)
     keys.sort()
     return keys
