@@ -99,9 +99,11 @@ class Descent:
             self._active = replace(self._active, model=model)
             # State and model share one array of coefficients, as they do without surroundings.
             self._state = replace(self._state, sh=model.sh[:n])
-        self._seen = np.zeros(n, np.int32)  # views of each splat since `begin`
-        self._hessians = np.zeros((n, PACKED), np.float32)  # means over these of the curvatures,
-        self._weights = np.zeros(n, np.float32)  # and of those of colours
+        # Number of views in which each splat was seen since `begin`. Means over these views: of the
+        # Gauss-Newton Hessian of its shape (see `kernels.chain`), and of its colour's curvature.
+        self._seen = np.zeros(n, np.int32)
+        self._hessians = np.zeros((n, PACKED), np.float32)
+        self._weights = np.zeros(n, np.float32)
         self._displacements = displacements_of(state, self.splats)
         self._displacements[:, MOST_DETERMINED] = determined
         self._count = 0
@@ -136,7 +138,7 @@ class Descent:
         )
 
     def _accumulated(self) -> tuple[I32, F32, F32]:
-        """Return (N,) views of each splat, (N, PACKED) mean curvatures, (N,) those of colours."""
+        """Return (N,) numbers of views, (N, PACKED) Hessians and (N,) curvatures of colours."""
         return self._seen, self._hessians, self._weights
 
     def release(self) -> None:

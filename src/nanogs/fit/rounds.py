@@ -28,7 +28,9 @@ SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 AVERAGED = 0.2  # share of all steps, the last ones, whose states are averaged; one round at most
 SHORTER = 0.7  # factor of the learning rate after a round of which only a part was kept
 SHORTEST = 0.25  # the same after a round of which nothing was kept
-LEAST = 0.05  # of the first learning rate: the fit ends if nothing was kept and the next is less
+# The fit ends after a round of which nothing was kept if the next learning rate would be below this
+# share of the first.
+LEAST = 0.05
 
 
 class FitOutcome(NamedTuple):
