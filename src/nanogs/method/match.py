@@ -102,15 +102,15 @@ def match(pairs: I32, costs: F32, rows: int, limit: int) -> MergePlan:
     del joined, left
     keys.sort()
     keys = keys[:limit]
-    matched, prices = np.empty((len(keys), 2), np.int32), np.empty(len(keys), np.float32)
+    matched, matched_costs = np.empty((len(keys), 2), np.int32), np.empty(len(keys), np.float32)
 
     def look_up(part: slice) -> None:
         chosen = (keys[part] & np.uint64(0xFFFFFFFF)).astype(np.int64)
         matched[part, 0], matched[part, 1] = firsts.take(chosen), seconds.take(chosen)
-        prices[part] = costs.take(chosen)
+        matched_costs[part] = costs.take(chosen)
 
     parallel.for_each(slices(len(keys), SLICE_STEPS), look_up)
-    return MergePlan(matched, prices, without_cost)
+    return MergePlan(matched, matched_costs, without_cost)
 
 
 def _agree(candidates: _Candidates, starts: I64) -> list[U64]:
@@ -157,8 +157,8 @@ def _crossing(seconds: I32, starts: I64, bounds: I64) -> tuple[I32, I64]:
 
     def find(stretch: int) -> I32:
         some = seconds[bounds[stretch] : bounds[stretch + 1]]
-        rows = np.flatnonzero(some >= starts[stretch + 1]).astype(np.int32)
-        return rows + np.int32(bounds[stretch])
+        crossing = np.flatnonzero(some >= starts[stretch + 1]).astype(np.int32)
+        return crossing + np.int32(bounds[stretch])
 
     found = parallel.map_ordered(range(stretches), find)
     pairs = np.concatenate([*found, np.empty(0, np.int32)])
