@@ -181,7 +181,7 @@ def simplify(
 def _with_size_ending(outcome: Outcome, size: int, checked: CheckedModel, known: Format) -> Outcome:
     """Add why the count is the largest that fits, for formats of known file sizes.
 
-    For others, the search for the size does.
+    If a size is only known by writing the file, the search for it has reported this already.
     """
     if (file_bytes := known.file_bytes) is None:
         return outcome

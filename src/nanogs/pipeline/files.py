@@ -274,7 +274,7 @@ def _with_size_ending(
 ) -> SimplifyReport:
     """Add why the count is the largest that fits, for formats of known file sizes.
 
-    For others, the search for the size does.
+    If a size is only known by writing the file, the search for it has reported this already.
     """
     if (sizer := request.sizer) is None:
         return report

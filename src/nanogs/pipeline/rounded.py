@@ -25,7 +25,7 @@ def rounded(
     Args:
         outcome: The result, unchanged if it was not fitted.
         path: Its file; only the suffix counts.
-        options: Of the format.
+        options: Options of the format.
         frame: Source and target frame that the result is turned from and to before it is written.
         coarseness: See `nanogs.io.economical`.
     """
@@ -50,11 +50,11 @@ def rounded_for_file(
     Args:
         outcome: The result.
         chosen: Parameters that it was made with.
-        path: As for `rounded`, like the following two.
-        options: Of the format.
-        frame: Of its file.
-        clock: Gets the seconds.
-        progress: Notified of the stage.
+        path: The file that it is going to be written to; only the suffix counts.
+        options: Options of the format.
+        frame: Source and target frame that it is turned from and to before it is written.
+        clock: Gets the seconds of the stage "encode".
+        progress: Notified of this stage.
     """
     if not rounds_for_file(chosen, registry.writable(path)):
         return outcome
