@@ -265,6 +265,10 @@ def fraction_bits(model: Splats | Source, precision: Precision = FINEST) -> int:
     They are spared where splats are so large that they do not need them. Very large scenes have
     fewer than 12, and then none is spared by default.
 
+    Args:
+        model: The model.
+        precision: Precision of the values, and how many bits are spared if it states that.
+
     Raises:
         OptionError: The `spare` of `precision` exceeds the number of fraction bits that there are.
         OutputError: A value is NaN or infinite, or a centre is too far out for 24-bit integers.
@@ -361,8 +365,9 @@ def _with_palette(
         buckets: (K - 1, 1) steps of the coefficients; None if splats may not be moved.
 
     Returns:
-        The splats, sorted by palette entry, and the (N,) entry of each, ascending; entries that the
-        steps make equal are one. Where splats may not be moved, they in their order, and None.
+        The splats, sorted by palette entry, and (N,) int64, the entry of each, ascending; entries
+        that the steps make equal count as one. If splats may not be moved: the splats in their own
+        order, and None.
     """
     points = splats.sh[:, 1:].reshape(len(splats), -1)
     found = palette(points, size, visibility(splats), on_progress)
