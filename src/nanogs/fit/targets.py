@@ -144,7 +144,11 @@ def as_target(rendering: Rendering, camera: Camera) -> Target:
 
 
 def _blend(view: Projection, camera: Camera, wanted: int = ALL_BLOCKS) -> tuple[F32, F32]:
-    """Blend four channels of a projection: return the features (N, 4) and the image (H, W, 4)."""
+    """Blend the channels that are compared: colours less `WHITE`, and alpha times `ALPHA`.
+
+    Returns:
+        The features that are blended, (N, 4), and the image, (H, W, 4), both float32.
+    """
     with np.errstate(invalid="ignore"):  # rows that are not drawn are not initialised
         features = view.features - np.array([WHITE, WHITE, WHITE, 0], np.float32)
     features[:, 3] = ALPHA
@@ -153,7 +157,12 @@ def _blend(view: Projection, camera: Camera, wanted: int = ALL_BLOCKS) -> tuple[
 
 
 def _weigh(target: Target, image: F32, wanted: int = ALL_BLOCKS) -> tuple[F32, F32, float]:
-    """Return the residual (H, W, 4), the image's alpha (H, W) and the mean squared error."""
+    """Compare an image from `_blend` with a target.
+
+    Returns:
+        The residual, (H, W, 4); the image's alpha, (H, W), by which curvatures are weighted; and
+        the mean squared error. Arrays are float32, and not initialised in blocks not `wanted`.
+    """
     residual = np.empty_like(image)
     curvature_weights = np.empty(image.shape[:2], np.float32)
     errors = np.empty((len(image), 2))
