@@ -1,6 +1,7 @@
 """Files whose suffix is that of another format: they are named for what they are."""
 
 import gzip
+import io
 import re
 import shutil
 from pathlib import Path
@@ -14,7 +15,7 @@ from nanogs.io import registry
 
 MISNAMED = {
     ".ply": (".splat", ".spz", ".glb", ".rad"),
-    ".spz": (".ply", ".splat"),
+    ".spz": (".ply", ".splat", ".sog", ".usda"),
     ".sog": (".spz", ".splat", ".ply"),
     ".glb": (".ply", ".spz"),
     ".rad": (".spz",),
@@ -40,6 +41,15 @@ def test_a_file_of_another_format_is_named_by_it(tmp_path, real):
         expected = f"like a {real} file, so it is no {named} file; give it the suffix {real}."
         with pytest.raises(FormatError, match=re.escape(expected)):
             nanogs.load(wrong)
+
+
+def test_a_wrong_format_beside_the_name_is_named(tmp_path):
+    nanogs.save(random_splats(64), tmp_path / "a.spz")
+    stream = io.BytesIO((tmp_path / "a.spz").read_bytes())
+    for model, called in ((tmp_path / "a.spz", tmp_path / "a.spz"), (stream, "The open file")):
+        expected = f"{called} begins like a .spz file, so it is no .ply file; name the format .spz,"
+        with pytest.raises(FormatError, match=f"^{re.escape(expected)} or none\\.$"):
+            nanogs.load(model, format="ply")
 
 
 def test_a_ply_of_whole_rows_is_not_read_as_splat(tmp_path):

@@ -147,11 +147,16 @@ def test_wrong_uses_of_pipes_are_refused(scene, tmp_path):
         textures, "error: meta.json describes a folder of files; use a format with a single file"
     )
     assert_refused(
-        run("convert", "-", "-", "--from", "ksplat", data=data),
+        run("convert", "-", "-", "--from", "ksplat", data=splat),
         "choose another for OUT, as in --to ply",
     )
     ksplat = ("--from", "ksplat", "--to", "ply")
-    assert_refused(run("convert", "-", "-", *ksplat, data=data), "stdin.ksplat")
+    assert_refused(run("convert", "-", "-", *ksplat, data=splat), "stdin.ksplat")
+    spz = run("convert", scene, "-", "--to", "spz").stdout
+    assert_refused(
+        run("convert", "-", "-", "--from", "ply", data=spz),
+        "stdin begins like a .spz file, so it is no .ply file; name the format .spz, or none.",
+    )
     (tmp_path / "there.ply").touch()
     assert_refused(
         run("convert", "-", tmp_path / "there.ply", data=data), "already; add -w to replace it"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from nanogs.cleanup import temporary_folder
-from nanogs.errors import FormatError, OptionError
+from nanogs.errors import OptionError
 from nanogs.findings import join_findings
 from nanogs.io import atomic, registry
 from nanogs.io.file_objects import as_named, read_file, stream_name, write_file
@@ -133,11 +133,8 @@ def _opened(
     known = registry.reader(as_named(path, format, to_read=True))
     if known.open_level is None and level != 0:
         registry.refuse_level(path, level)
-    try:
-        source = known.open_level(path, level) if known.open_level else known.open(path)
-    except FormatError as error:
-        registry.refuse_misnamed(path, known, error)
-        raise
+    registry.refuse_misnamed(path, known, None if format is None else str(path))
+    source = known.open_level(path, level) if known.open_level else known.open(path)
     return retagged(source, render_mode)
 
 

@@ -84,6 +84,7 @@ def read_file(
                 ' format=".splat").'
             )
         named = copy.rename(copy.with_name(f"stream{suffix}"))
+        registry.refuse_misnamed(named, registry.reader(named), "The open file")
         with shown_as({f"{folder}{os.sep}": ""}):
             return retagged(registry.reader(named).open(named), render_mode).load()
 

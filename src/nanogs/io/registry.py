@@ -71,13 +71,13 @@ def sniff(path: Path) -> str | None:
     return next((known.suffix for known in (*held, *by_magic)), None)
 
 
-def refuse_misnamed(path: Path, known: Format, error: FormatError) -> None:
-    """Refuse a file that could not be opened because it is one of another format.
+def refuse_misnamed(path: Path, known: Format, called: str | None = None) -> None:
+    """Refuse a file that begins like one of another format.
 
     Args:
-        path: The file.
-        known: The format that its name states.
-        error: Why it could not be opened.
+        path: The file. One that cannot be read is left to the reader to refuse.
+        known: The format that its name states, or that was given.
+        called: Name of the file in the message if the format was given apart from its name.
 
     Raises:
         FormatError: Its first bytes are those of another format.
@@ -87,10 +87,11 @@ def refuse_misnamed(path: Path, known: Format, error: FormatError) -> None:
         return
     if other.zip_member and known.zip_member:
         return  # a folder in a damaged archive may look like the other kind of archive
+    own = other.suffix
+    remedy = f"give it the suffix {own}" if called is None else f"name the format {own}, or none"
     raise FormatError(
-        f"{path} begins like a {other.suffix} file, so it is no {known.suffix} file; give it the"
-        f" suffix {other.suffix}."
-    ) from error
+        f"{called or path} begins like a {own} file, so it is no {known.suffix} file; {remedy}."
+    )
 
 
 def _recognised(path: Path) -> Format | None:

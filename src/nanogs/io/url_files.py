@@ -126,12 +126,13 @@ def detect_suffix(raw: Path, called: str, format: str | None, remedy: str) -> st
         remedy: Advice for the error message if the format cannot be detected.
 
     Raises:
-        FormatError: The file is a web page or a Git LFS pointer, or nanogs does not read the
-            format.
+        FormatError: The file is a web page or a Git LFS pointer, nanogs does not read the format,
+            or the file begins like one of another.
         OptionError: The format cannot be detected.
     """
     if format:
-        registry.file_of(format, to_read=True)  # raises if it is not a format
+        named = registry.file_of(format, to_read=True)  # raises if it is not a format
+        registry.refuse_misnamed(raw, registry.reader(named), called)
     suffix = registry.suffix_of(format) if format else sniff(raw)
     if suffix is None:
         with raw.open("rb") as file:
