@@ -84,9 +84,10 @@ def read_file(
                 ' format=".splat").'
             )
         named = copy.rename(copy.with_name(f"stream{suffix}"))
-        registry.refuse_misnamed(named, registry.reader(named), "The open file")
+        known = registry.reader(named)
+        registry.refuse_misnamed(named, known, "The open file")
         with shown_as({f"{folder}{os.sep}": ""}):
-            return retagged(registry.reader(named).open(named), render_mode).load()
+            return retagged(known.open(named), render_mode).load()
 
 
 def stream_name(
