@@ -2,11 +2,13 @@
 
 A megabyte holds many splats of one colour each, or fewer whose colour depends on the view; only
 renders show which looks better. Each packing is tried at a count that about fills the size: a
-result is made for it, packed, unpacked and compared with the original on views. The bits are chosen
-among files of the first result, since they hardly depend on the other choices. Lower degrees are
-measured on the first result as well; only one that is not far behind gets a result of its own.
+result is made for it, packed, unpacked and compared with the original on views. The first has the
+palette that a plain cut promises most with (see `plain_cuts`). The bits are chosen among its files,
+since they hardly depend on the other choices. Lower degrees are measured on the first result as
+well; only one that is not far behind gets a result of its own.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,6 +20,7 @@ from nanogs.pipeline.search.packing import (
     SMALLER_PALETTES,
     BitValues,
     Packing,
+    decibels,
 )
 from nanogs.report import PackingReport
 
@@ -25,9 +28,10 @@ FIRST_COUNT = 1.2  # over the guess: there is room, because coarser bits are mos
 # Like `SIZE_TOLERANCE`, for the bits that are best with a packing: their files are compared
 # directly with each other.
 BITS_TOLERANCE = 0.03
-# dB by which a degree or palette may be behind the best file of the first result, which is not
-# fitted to it, and still get a result of its own.
+# dB by which a degree may be behind the best file of the first result, which is not fitted to it,
+# and still get a result of its own.
 BEHIND_UNFITTED = 1.5
+HALVED = 0.5  # share of the loss by packing that is left with the next larger palette, at least
 BEHIND = 0.25  # dB by which a packing may be behind the best and still be tried with other bits
 
 MeasureFile = Callable[[Packing], PackingReport]
@@ -56,10 +60,8 @@ def choose_packing(
     if search.own_fit >= OWN_HARMONICS_FIT:
         finest = files.choices.own_per_entry, *LARGER_PALETTES[::-1]
         best = search.climb(first, _with_palettes(first, finest))
-    elif search.tries_smaller:
-        best = search.climb(first, _with_palettes(first, SMALLER_PALETTES))
-    if best is first and first.per_entry is not None:
-        best = search.climb(first, _with_palettes(first, LARGER_PALETTES))
+    elif first.per_entry is not None:
+        best = search.climb(first, _with_palettes(first, _further(first.per_entry)))
     best = search.climb(best, [replace(best, sh_degree=degree) for degree in search.lower_degrees])
     if first.per_entry is not None:  # without palettes, `begin` has compared the bits
         best = search.compare_bits(best)
@@ -72,6 +74,17 @@ def _with_palettes(packing: Packing, sizes: Sequence[float | None]) -> list[Pack
     return [replace(packing, per_entry=per_entry) for per_entry in sizes]
 
 
+def _further(first: float) -> list[float]:
+    """Return the palettes to be tried after the first, which plain cuts promised most with.
+
+    Args:
+        first: Splats for each of its entries.
+    """
+    if first in SMALLER_PALETTES:
+        return [each for each in SMALLER_PALETTES if each > first]
+    return [each for each in LARGER_PALETTES if each < first]
+
+
 @dataclass(slots=True)
 class _Search:
     """A search for the best packing: it makes results, and compares their files.
@@ -82,14 +95,12 @@ class _Search:
         make_and_measure: See `choose_packing`.
         lower_degrees: SH degrees to be tried, because they are not far behind with the first
             result, which was not fitted for them.
-        tries_smaller: Whether smaller palettes are to be tried, for the same reason.
     """
 
     files: MeasuredFiles
     guess: Callable[[Packing], int]
     make_and_measure: MakeAndMeasure
     lower_degrees: list[int] = field(default_factory=list)
-    tries_smaller: bool = False
 
     def begin(self) -> Packing:
         """Make the first result, and find the best bits for it."""
@@ -102,15 +113,16 @@ class _Search:
         self.lower_degrees = [degree for degree in degrees if degree < first.sh_degree]
         if first.per_entry is None:
             return self.compare_bits(best)
-        smaller = replace(first, per_entry=SMALLER_PALETTES[0])
-        self.tries_smaller = any(files.is_packed_as(each, smaller) for each in near)
         return self._make_filling(best) if files.is_far(files.file(best)) else best
 
     def climb(self, best: Packing, others: Sequence[Packing]) -> Packing:
         """Try packings in order while each is better than the last, and return the best."""
         files = self.files
         for other in others:
-            tried = self._try(replace(other, bits=self._bits_for(other, best)))
+            wanted = replace(other, bits=self._bits_for(other, best))
+            if self._is_in_vain(wanted, best):
+                break
+            tried = self._try(wanted)
             if files.value_of(tried) <= files.value_of(best):
                 break
             best = tried
@@ -127,10 +139,8 @@ class _Search:
         if self.files.number(best) == 1:
             return best
         best = self.files.with_promising_bits(best, filled=set())
-        # A result with a palette takes long: the first one is good enough if it leaves room.
-        if best.per_entry is not None and self.files.file(best).bytes < self.files.size:
-            return best
-        return self._fill_size(best, BITS_TOLERANCE)
+        # A result with a palette takes long: the first one that is not far off is good enough.
+        return self._fill_size(best, BITS_TOLERANCE if best.per_entry is None else SIZE_TOLERANCE)
 
     @property
     def own_fit(self) -> float:
@@ -156,6 +166,19 @@ class _Search:
             if self.files.choices.bits[name].of_harmonics
         }
         return tuple((dict(best.bits) | of_harmonics).items())
+
+    def _is_in_vain(self, packing: Packing, best: Packing) -> bool:
+        """Whether a larger palette leaves room for so few splats that it cannot gain.
+
+        It is taken to halve what packing loses. Mostly it saves less, because bits lose as well.
+        """
+        if packing.sh_degree != best.sh_degree or (packing.per_entry or 0) >= (best.per_entry or 0):
+            return False
+        files, choices, report = self.files, self.files.choices, self.files.file(best)
+        gained = decibels(choices.loss(report, HALVED)) - choices.quality(report)
+        # The guess is seldom lower than this, so that a gain is not missed.
+        count = files.limited(FIRST_COUNT * self.guess(packing))
+        return gained <= files.slope * math.log(files.filling_count(report) / count)
 
     def _try(self, packing: Packing) -> Packing:
         """Make results of an SH degree and palette size, if there are none; return the best bits.
@@ -222,13 +245,11 @@ class _Search:
         return reports
 
     def _measure_first(self, first: Packing, measure: MeasureFile) -> list[PackingReport]:
-        """Measure files of the first result, also with other bits, palette and degrees."""
+        """Measure files of the first result, also with other bits and degrees."""
         report = measure(first)
         reports = [report, *self._measure_bits(first, report, measure)]
         best = max(reports, key=self.files.value)
         packing = replace(first, bits=self.files.bits_of(best))
-        if packing.sharing:
-            reports.append(measure(replace(packing, per_entry=SMALLER_PALETTES[0])))
         for degree in reversed(self.files.choices.degrees[:-1]):
             reports.append(measure(replace(packing, sh_degree=degree)))
             if not self._is_promising(reports[-1], best):

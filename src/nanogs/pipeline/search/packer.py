@@ -10,11 +10,12 @@ from nanogs.io.format import PALETTE
 from nanogs.io.limits import degree_left_out
 from nanogs.pipeline.estimates.stage_weights import PACKINGS
 from nanogs.pipeline.options.target import count_for_size
-from nanogs.pipeline.search.choose_packing import MeasureFiles, choose_packing
+from nanogs.pipeline.search.choose_packing import MeasureFile, MeasureFiles, choose_packing
 from nanogs.pipeline.search.file_size import guess_count
 from nanogs.pipeline.search.files import Files
 from nanogs.pipeline.search.measured_files import MeasuredFiles, slope_of
 from nanogs.pipeline.search.packing import Choices, Packing, unseen_packing
+from nanogs.pipeline.search.plain_cuts import CUTS, first_palette, measure_palettes
 from nanogs.pipeline.search.results import Results, T
 from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.progress import Stage, Tracker
@@ -31,7 +32,6 @@ ROUNDED, ROUNDED_HARMONICS = 0.92, 0.98
 # trained scenes, because rounding could not make a file that is too large fit.
 WHOLE, WHOLE_HARMONICS = 0.99, 1.005
 MOST_SAVED = 2.0  # -log of the share of a plain cut's bytes with which a fit may reach its PSNR
-CUTS = 0.5, 0.8  # shares of the count that fills a size: plain cuts that give the slope
 
 
 _ResultKey = tuple[int, int, int | None]
@@ -120,13 +120,11 @@ class Packer(Generic[T]):
             packing = self._unseen()
             return packed(packing, self.guess(packing), (), blind=looks)
         self.progress.begin("pack")
-        measured = MeasuredFiles(choices, self._size, self._slope(), self.results.available)
+        measured = self._look_at_cuts()
         make_and_measure = partial(self._make_and_measure, measured)
         packing, count = choose_packing(measured, self.guess, make_and_measure)
         if self.rounds:
-            whole = WHOLE_HARMONICS if self.sample.sh_degree else WHOLE
-            ratio = whole * self._rounding_ratios[_result_of(measured.file(packing))]
-            count = self.deliverable(round(count * self._usual_ratio / ratio))
+            count = self._rounded_count(measured.file(packing), count)
         return packed(packing, count, tuple(measured.reports))
 
     @cached_property
@@ -186,20 +184,43 @@ class Packer(Generic[T]):
         """Return the deliverable count nearest to a count."""
         return min(max(count, self.results.fewest), self.results.available)
 
-    def _slope(self) -> float:
-        """Measure how much quality more splats bring, from two plain cuts.
+    def _look_at_cuts(self) -> MeasuredFiles:
+        """Measure plain cuts: what more splats gain, and which palette is to be tried first.
 
-        They are packed without a choice of palette, whose loss would blur the difference.
+        For the first, they are packed without a choice of palette, whose loss would blur it.
         """
-        first, plain = self.choices.first, self.results.plain(rounds=0)
-        packing, count = replace(first, per_entry=None), self.guess(first)
+        first = self.choices.first
+        own, count = replace(first, per_entry=None), self.guess(first)
 
-        def made(share: float) -> PackingReport:
-            some = self.deliverable(round(share * count))
-            part = self.progress.within(0, PACKINGS, plain.stages(some))
-            return _make_and_measure_file(plain, self.files, some, packing, part)
+        def files(less: PackingReport, more: PackingReport) -> MeasuredFiles:
+            slope = slope_of(self.choices, less, more)
+            return MeasuredFiles(self.choices, self._size, slope, self.results.available)
 
-        return slope_of(self.choices, *map(made, CUTS))
+        def look(measure: MeasureFile) -> list[PackingReport]:
+            more = measure(own)
+            if first.per_entry is None:
+                return [more]
+            return [more, *measure_palettes(files(less, more), measure)]
+
+        less, *_ = self._measure_cut(CUTS[0] * count, lambda measure: [measure(own)])
+        more, *palettes = self._measure_cut(CUTS[1] * count, look)
+        measured = files(less, more)
+        if palettes:
+            per_entry = first_palette(measured, palettes)
+            measured.choices = replace(self.choices, first_per_entry=per_entry)
+        return measured
+
+    def _measure_cut(self, count: float, measure_files: MeasureFiles) -> list[PackingReport]:
+        """Make a plain cut and measure its files."""
+        plain, some = self.results.plain(rounds=0), self.deliverable(round(count))
+
+        def measure(result: T) -> dict[str, Any]:
+            found = measure_files(partial(_measure_file, self.files, result))
+            return {"files": [asdict(each) for each in found]}
+
+        part = self.progress.within(0, PACKINGS, plain.stages(some))
+        _, made = plain.make_and_measure(some, measure, part)
+        return [PackingReport(**each) for each in made["files"]]
 
     def _make_and_measure(
         self, measured: MeasuredFiles, packing: Packing, count: int, measure_files: MeasureFiles
@@ -227,10 +248,25 @@ class Packer(Generic[T]):
         self._rounding_ratios[_result_of(reports[0])] = made["rounded"]
         return reports
 
+    def _rounded_count(self, file: PackingReport, count: int) -> int:
+        """Return the count that fills the size once its values are rounded to pack well.
+
+        Args:
+            file: A file in the packing; its values are the nearest.
+            count: The count that fills the size if the usual ratio by rounding is right.
+        """
+        whole = WHOLE_HARMONICS if self.sample.sh_degree else WHOLE
+        ratio = whole * self._rounding_ratios[_result_of(file)]
+        count = self.deliverable(round(count * self._usual_ratio / ratio))
+        is_whole = file.count == self.results.available  # then nothing is fitted, nor rounded
+        return min(count, file.count - 1) if is_whole and file.bytes > self.request.size else count
+
     def _rounding_ratio(self, result: T, file: PackingReport) -> float:
         """Return the bytes of a file if values are rounded so that it packs well, over its own."""
         if not self.rounds:
             return 1.0
+        if file.count == self.results.available:  # the model itself, of which nothing was fitted
+            return self._usual_ratio
         coarseness = self.choices.coarseness(file)
         return self.files.packed(result, file.options, coarseness)[1] / file.bytes
 

@@ -9,7 +9,7 @@ from nanogs.io.format import PALETTE, Sharing
 from nanogs.method.choose import quality
 from nanogs.report import PackingReport
 
-# Splats for each entry of the palette: the first try, then larger and smaller palettes.
+# Splats for each entry of the palette: a usual one, then larger and smaller palettes.
 FIRST_PER_ENTRY = 8.0
 LARGER_PALETTES, SMALLER_PALETTES = (3.0, 1.5), (32.0, 128.0)
 # Share of all splats that must fit by the guess, which is up to 20 % low, for a finer packing to be
@@ -109,6 +109,7 @@ class Choices:
         entries: Largest number of entries that a palette of the format has.
         own_per_entry: `per_entry` of the finest packing, in which splats have harmonics of their
             own: None, without a palette, or 1 if the format always has one.
+        first_per_entry: Splats for each entry of the palette that is tried first.
     """
 
     degrees: Sequence[int]
@@ -117,11 +118,12 @@ class Choices:
     by_psnr: bool = False
     entries: int = 1 << 16
     own_per_entry: float | None = None
+    first_per_entry: float = FIRST_PER_ENTRY
 
     @property
     def first(self) -> Packing:
         """The packing tried first: all harmonics, and a palette size that is seldom far off."""
-        palette = FIRST_PER_ENTRY if self.palettes and self.degrees[-1] else None
+        palette = self.first_per_entry if self.palettes and self.degrees[-1] else None
         bits = tuple((name, each.search_start) for name, each in self.bits.items())
         return Packing(self.degrees[-1], palette, bits, self.entries)
 
@@ -129,13 +131,17 @@ class Choices:
         """Return the quality of a file as it would be after a whole fit, dB."""
         return decibels(self.loss(found))
 
-    def loss(self, found: PackingReport) -> float:
+    def loss(self, found: PackingReport, of_packing: float = 1.0) -> float:
         """Return the same as an error, like the mean squared error of a PSNR.
 
         A whole fit diminishes the error of the result, but not what packing adds.
+
+        Args:
+            found: The file.
+            of_packing: Share of what packing adds that counts.
         """
         packed, unpacked = self._losses(found)
-        return packed - (1 - ERROR_LEFT) * unpacked
+        return ERROR_LEFT * unpacked + of_packing * (packed - unpacked)
 
     def coarseness(self, found: PackingReport) -> float:
         """Return how coarsely to round by what shows, over the usual coarseness.
