@@ -60,7 +60,7 @@ def choose_packing(
     if search.own_fit >= OWN_HARMONICS_FIT:
         finest = files.choices.own_per_entry, *LARGER_PALETTES[::-1]
         best = search.climb(first, _with_palettes(first, finest))
-    elif first.per_entry is not None:
+    if best is first and first.per_entry is not None:
         best = search.climb(first, _with_palettes(first, _further(first.per_entry)))
     best = search.climb(best, [replace(best, sh_degree=degree) for degree in search.lower_degrees])
     if first.per_entry is not None:  # without palettes, `begin` has compared the bits

@@ -128,9 +128,24 @@ class MeasuredFiles:
         return max(self.value(each) for files in self._by_bits.values() for each in files.values())
 
     def is_far(self, report: PackingReport, tolerance: float = SIZE_TOLERANCE) -> bool:
-        """Whether a file's size is too far off to show how good one of the right size is."""
+        """Whether a file is too different to show how good one of the right size is.
+
+        Either its size is far off, or it is a little too large and holds the whole model, of which
+        nothing was fitted.
+        """
         far = abs(math.log(report.bytes / self.size)) > tolerance
-        return far and self.filling_count(report) != report.count
+        unfitted = report.count == self.available and report.bytes > self.size
+        return (far or unfitted) and self.filling_count(report) != report.count
+
+    def is_whole_larger(self, packing: Packing, size: int) -> bool:
+        """Whether a file of the whole model was measured in a packing, and is larger than a size."""
+        return any(
+            each.count == self.available
+            and each.bytes > size
+            and self.is_packed_as(each, packing)
+            and self.bits_of(each) == packing.bits
+            for each in self.reports
+        )
 
     def filling_count(self, report: PackingReport) -> int:
         """Return the count whose file about fills the size, if it is packed like this one."""

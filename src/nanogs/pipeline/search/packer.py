@@ -124,7 +124,7 @@ class Packer(Generic[T]):
         make_and_measure = partial(self._make_and_measure, measured)
         packing, count = choose_packing(measured, self.guess, make_and_measure)
         if self.rounds:
-            count = self._rounded_count(measured.file(packing), count)
+            count = self._rounded_count(measured, packing, count)
         return packed(packing, count, tuple(measured.reports))
 
     @cached_property
@@ -248,18 +248,21 @@ class Packer(Generic[T]):
         self._rounding_ratios[_result_of(reports[0])] = made["rounded"]
         return reports
 
-    def _rounded_count(self, file: PackingReport, count: int) -> int:
+    def _rounded_count(self, measured: MeasuredFiles, packing: Packing, count: int) -> int:
         """Return the count that fills the size once its values are rounded to pack well.
 
         Args:
-            file: A file in the packing; its values are the nearest.
+            measured: The files that were compared; their values are the nearest.
+            packing: The best packing.
             count: The count that fills the size if the usual ratio by rounding is right.
         """
         whole = WHOLE_HARMONICS if self.sample.sh_degree else WHOLE
-        ratio = whole * self._rounding_ratios[_result_of(file)]
+        ratio = whole * self._rounding_ratios[_result_of(measured.file(packing))]
         count = self.deliverable(round(count * self._usual_ratio / ratio))
-        is_whole = file.count == self.results.available  # then nothing is fitted, nor rounded
-        return min(count, file.count - 1) if is_whole and file.bytes > self.request.size else count
+        # Of the whole model nothing is fitted, so its values are not rounded either.
+        if measured.is_whole_larger(packing, self.request.size):
+            return self.deliverable(min(count, self.results.available - 1))
+        return count
 
     def _rounding_ratio(self, result: T, file: PackingReport) -> float:
         """Return the bytes of a file if values are rounded so that it packs well, over its own."""
