@@ -188,6 +188,13 @@ def test_the_manifest_of_a_folder_cannot_be_piped(name):
     assert_refused(result, f"A {name} refers to other files", "name the file instead of -")
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+@pytest.mark.parametrize("name", ["a.ply", "a.sog", "tileset.json", "a", "a.data"])
+def test_a_named_pipe_is_refused_without_waiting_for_its_writer(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    assert_refused(run("info", tmp_path / name, timeout=60), f"{name} is no regular file")
+
+
 def test_terminals_are_refused_for_models(scene):
     pty = pytest.importorskip("pty")
     leader, follower = pty.openpty()

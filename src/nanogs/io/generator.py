@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from nanogs._version import __version__
+from nanogs.paths import is_file
 
 _NAME = "nanogs"
 GENERATOR = f"{_NAME} {__version__}"
@@ -12,12 +13,14 @@ GENERATOR = f"{_NAME} {__version__}"
 
 
 def read_own(path: Path, *keys: str) -> dict[str, Any] | None:
-    """Read a JSON file if nanogs wrote it, in whatever version; None for other files.
+    """Read a JSON file if nanogs wrote it, in any version; None for other files and for pipes.
 
     Args:
         path: The file.
         keys: Names of the nested fields that lead to the name of the program.
     """
+    if not is_file(path):
+        return None
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
         named: Any = data

@@ -10,6 +10,7 @@ from typing import Any, BinaryIO, NoReturn
 
 from nanogs.errors import FormatError, OptionError, OutputError, did_you_mean
 from nanogs.formatting import listed
+from nanogs.io.files import input_size
 from nanogs.io.format import Format, FormatOptions, Sizer, Writer, given_options
 from nanogs.io.formats import all_formats, of_name
 from nanogs.io.limits import refusal, refused_splats
@@ -95,7 +96,12 @@ def refuse_misnamed(path: Path, known: Format, called: str | None = None) -> Non
 
 
 def _recognised(path: Path) -> Format | None:
-    """Return the format that the first bytes of a file show; None if they leave doubts."""
+    """Return the format that the first bytes of a file show; None if they leave doubts.
+
+    Only regular files are opened: a pipe that nothing is written to would wait for ever.
+    """
+    if not is_file(path):
+        return None
     try:
         found = sniff(path)
         if found == ".spz" and not _holds_spz(path):
@@ -163,10 +169,12 @@ def reader(path: Path) -> Format:
             raise FormatError(f"{path}: no such file or folder; check the path.")
         if is_folder(path) and not isinstance(path, Address):
             raise FormatError(f"{path} is a folder; name the model file inside it.")
+        if exists(path) and not is_file(path):
+            input_size(path)  # refuses pipes and devices
         _refuse_list(path)
         if remedy := _REMEDIES.get(path.suffix.lower()):
             raise FormatError(f"{path}: nanogs does not read {path.suffix} files; {remedy}.")
-        if is_file(path) and (found := _recognised(path)):
+        if found := _recognised(path):
             raise FormatError(
                 f"{path} begins like a {found.suffix} file; give it the suffix {found.suffix}."
             )
