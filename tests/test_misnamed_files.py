@@ -47,9 +47,19 @@ def test_a_wrong_format_beside_the_name_is_named(tmp_path):
     nanogs.save(random_splats(64), tmp_path / "a.spz")
     stream = io.BytesIO((tmp_path / "a.spz").read_bytes())
     for model, called in ((tmp_path / "a.spz", tmp_path / "a.spz"), (stream, "The open file")):
-        expected = f"{called} begins like a .spz file, so it is no .ply file; name the format .spz,"
-        with pytest.raises(FormatError, match=f"^{re.escape(expected)} or none\\.$"):
+        expected = f"{called} begins like a .spz file, so it is no .ply file; name the format .spz."
+        with pytest.raises(FormatError, match=f"^{re.escape(expected)}$"):
             nanogs.load(model, format="ply")
+
+
+def test_an_open_file_with_the_name_of_another_format_is_read_once_its_format_is_named(tmp_path):
+    nanogs.save(random_splats(64), tmp_path / "a.splat", format=".spz")
+    expected = "The open file begins like a .spz file, so it is no .splat file; name the format"
+    with (tmp_path / "a.splat").open("rb") as file:
+        with pytest.raises(FormatError, match=f"^{re.escape(expected)} \\.spz\\.$"):
+            nanogs.load(file)
+        file.seek(0)
+        assert len(nanogs.load(file, format=".spz")) == 64
 
 
 def test_a_ply_of_whole_rows_is_not_read_as_splat(tmp_path):

@@ -155,7 +155,7 @@ def test_wrong_uses_of_pipes_are_refused(scene, tmp_path):
     spz = run("convert", scene, "-", "--to", "spz").stdout
     assert_refused(
         run("convert", "-", "-", "--from", "ply", data=spz),
-        "stdin begins like a .spz file, so it is no .ply file; name the format .spz, or none.",
+        "stdin begins like a .spz file, so it is no .ply file; name the format .spz.\n",
     )
     (tmp_path / "there.ply").touch()
     assert_refused(

@@ -89,7 +89,7 @@ def refuse_misnamed(path: Path, known: Format, called: str | None = None) -> Non
     if other.zip_member and known.zip_member:
         return  # a folder in a damaged archive may look like the other kind of archive
     own = other.suffix
-    remedy = f"give it the suffix {own}" if called is None else f"name the format {own}, or none"
+    remedy = f"give it the suffix {own}" if called is None else f"name the format {own}"
     raise FormatError(
         f"{called or path} begins like a {own} file, so it is no {known.suffix} file; {remedy}."
     )
