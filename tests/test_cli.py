@@ -186,6 +186,16 @@ def test_a_plan_lists_the_balances_that_are_tried(scene, tmp_path, options, bala
     assert f", balance {balances}, rounds" in line
 
 
+def test_a_plan_and_a_report_print_parameters_in_the_same_form(scene, tmp_path):
+    options = ("-n", 50, "--preset", "fast", "--lambda-app", "1")
+    planned, done = (
+        run("simplify", scene, tmp_path / "a.ply", *options, extra).stderr.splitlines()
+        for extra in ("--dry-run", "-v")
+    )
+    [line] = {" ".join(each.split()) for each in planned + done if each.startswith("parameters")}
+    assert line.startswith("parameters k 5, lambda app 1, balance 0.8, ")
+
+
 def test_a_plan_lists_the_longer_fit_of_a_packing_that_is_searched_for(scene, tmp_path):
     given = "simplify", scene, tmp_path / "small.sog", "--dry-run", "--json"
     planned = [json.loads(run(*given, *goal).stdout) for goal in (("--size", "9kB"), ("-r", "0.1"))]

@@ -106,7 +106,7 @@ def show_report(report: Any, first: dict[str, str] | None = None) -> None:  # no
         if field.name != "notes"
     }
     tables = {name: value for name, value in record.items() if _is_table(value)}
-    lines = {name: _text(value) for name, value in record.items() if name not in tables}
+    lines = {name: value_text(value) for name, value in record.items() if name not in tables}
     show(err, key_value_table((first or {}) | lines))
     for name, entries in tables.items():
         err.print(f"{name}:", markup=False)
@@ -121,7 +121,7 @@ def entry_table(entries: Sequence[Any]) -> Table:
         table.add_column(name.replace("_", " "), justify="right")
     for entry in entries:
         # Text, because brackets in a name would be markup.
-        table.add_row(*(Text(_text(getattr(entry, name))) for name in names))
+        table.add_row(*(Text(value_text(getattr(entry, name))) for name in names))
     return table
 
 
@@ -129,13 +129,14 @@ def _is_table(value: Any) -> bool:  # noqa: ANN401
     return isinstance(value, tuple) and is_dataclass(value[0])
 
 
-def _text(value: Any) -> str:  # noqa: ANN401 - whatever a report holds
+def value_text(value: Any) -> str:  # noqa: ANN401 - whatever a report holds
     """Format a value of a report; of a tuple, only its length."""
     if is_dataclass(value):
         own = {field.name: getattr(value, field.name) for field in fields(value)}
-        return getattr(value, "text", "") or _text(own)
+        return getattr(value, "text", "") or value_text(own)
     if isinstance(value, dict):
-        return ", ".join(f"{key.replace('_', ' ')} {_text(each)}" for key, each in value.items())
+        named = {key.replace("_", " "): value_text(each) for key, each in value.items()}
+        return ", ".join(f"{name} {text}" for name, text in named.items())
     if isinstance(value, tuple):
         return str(len(value))
     if isinstance(value, bool):

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from nanogs.ahead import prepare_kernels
 from nanogs.allocation import keep_freed_memory
 from nanogs.cli.cancel import resumable
-from nanogs.cli.console import err, key_value_table, show
+from nanogs.cli.console import err, key_value_table, show, value_text
 from nanogs.cli.filtering import parse_filters
 from nanogs.cli.importing import without_gc
 from nanogs.cli.method import Method
@@ -277,12 +277,11 @@ def show_plan(plan: RunPlan, text: str) -> None:
     info, memory, splats = plan.info, plan.memory(), counted(plan.read_count, "splat")
     if info.splats < plan.read_count:
         splats += f", of which {info.splats:,} remain"
-    known = effective(plan.request.parameters).items()
     rows = {
         "would read": f"{plan.name} ({splats}, SH degree {info.sh_degree})",
         "would write": text,
         "preset": plan.method.preset,
-        "parameters": ", ".join(f"{name} {value}" for name, value in known),
+        "parameters": value_text(effective(plan.request.parameters)),
         "peak memory": f"about {bytes_text(memory.peak)}, and {_LIBRARIES}",
     }
     if plan.blocks is None:
