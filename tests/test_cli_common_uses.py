@@ -471,7 +471,8 @@ def test_simplify_drops_bands_of_spherical_harmonics(folder, tmp_path):
     arguments = ("simplify", folder / "a.ply", small, "--preset", "fast", "--sh-degree", "0")
     result = run(*arguments, "-r", "0.1")
     assert result.returncode == 0, result.stderr
-    assert "above degree 0 were dropped" in result.stderr
+    dropped = "above degree 0 were dropped first; any PSNR is against the model without them."
+    assert dropped in result.stderr  # none was measured
     assert nanogs.load(small).sh_degree == 0
     assert run(*arguments, "--size", "3kB", "-w").returncode == 0
     assert nanogs.load(small).sh_degree == 0

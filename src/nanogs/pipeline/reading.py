@@ -105,8 +105,8 @@ def changed(splats: Splats, changes: Changes) -> ChangedModel:
 def dropped_first(degree: int) -> str:
     """Return the note on a model of which only the harmonics up to a degree are simplified."""
     return (
-        f"Spherical harmonics above degree {degree} were dropped first; PSNR is against the model"
-        " without them."
+        f"Spherical harmonics above degree {degree} were dropped first; any PSNR is against the"
+        " model without them."
     )
 
 
