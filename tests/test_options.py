@@ -199,12 +199,12 @@ def test_the_studio_refuses_memory_that_does_not_hold_the_model(scene):
 
 
 def test_errors_list_the_options_that_a_preset_has(scene, tmp_path):
-    result = run(
-        "simplify", scene, tmp_path / "b.ply", "-r", "0.5", "--preset", "fast", "--tau", "3"
-    )
-    assert_refused(
-        result, "--tau cannot be used with the preset fast", "--lambda-app, ", "--view-size"
-    )
+    """Of those about views only if it renders."""
+    words, forest = ("simplify", scene, tmp_path / "b.ply", "-r", "0.5"), "--k, --lambda-app, "
+    for preset, last in (("fast", "--rounds, --steps"), ("default", "--views, --view-size")):
+        result = run(*words, "--preset", preset, "--tau", "3")
+        start = f"--tau cannot be used with the preset {preset}, which has {forest}"
+        assert_refused(result, start, f"{last}; leave it out, or choose another preset.")
     assert not re.search("lambda_app|halves|measure", result.stderr)
 
 

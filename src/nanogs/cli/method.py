@@ -22,6 +22,7 @@ from nanogs.pipeline.options.presets import (
     SUMMARIES,
     Parameters,
     parameters,
+    renders,
 )
 from nanogs.ranges import known_parameters
 
@@ -65,10 +66,13 @@ def refuse_others(preset: str, given: dict[str, Any]) -> None:
     Raises:
         OptionError: Such a parameter is given.
     """
-    known = known_parameters(PRESETS[preset]) if preset in PRESETS else {}
+    if preset not in PRESETS:
+        return
+    known, seen = known_parameters(PRESETS[preset]), renders(PRESETS[preset])
     for name in given:
-        if known and name not in known:
-            options = (f"--{each.replace('_', '-')}" for each in known if each in PARAMETERS)
+        if name not in known:
+            useful = (each for each, one in known.items() if seen or not one.views)
+            options = (f"--{each.replace('_', '-')}" for each in useful if each in PARAMETERS)
             raise OptionError(
                 f"--{name.replace('_', '-')} cannot be used with the preset {preset}, which has"
                 f" {', '.join(options)}; leave it out, or choose another preset."
