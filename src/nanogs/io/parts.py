@@ -291,6 +291,8 @@ def check_level(path: Path, level: int, count: int) -> None:
     Raises:
         OptionError: There is no such level.
     """
+    if count == 1 and level != 0:
+        raise OptionError(f"{path} has one level, 0, and no level {level}; leave `level` out.")
     if not 0 <= level < count:
         raise OptionError(f"{path} has levels 0 to {count - 1}; level {level} is not among them.")
 
