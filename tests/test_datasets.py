@@ -159,7 +159,7 @@ def test_a_missing_blender_photograph_is_an_error(blender):
 
 
 def test_impossible_options_are_refused(blender):
-    with pytest.raises(OptionError, match="leave images out"):
+    with pytest.raises(OptionError, match="leave `images` out"):
         open_dataset(blender, images="images_2")
     with pytest.raises(OptionError, match="choose 'test' or 'train'"):
         open_dataset(blender).split("val")

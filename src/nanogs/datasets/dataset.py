@@ -191,7 +191,7 @@ def open_dataset(path: str | Path, *, images: str | None = None) -> Dataset:
         )
     if images is not None:
         raise OptionError(
-            f"{folder}: its transforms files say where the photographs are; leave images out."
+            f"{folder}: its transforms files say where the photographs are; leave `images` out."
         )
     return Dataset("blender", folder)
 
