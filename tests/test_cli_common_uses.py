@@ -571,7 +571,7 @@ def test_verbose_prints_a_report_of_each_level(folder, tmp_path):
         (["a.ply"], ["OUT is missing", "a.ply"]),
         (
             ["a.ply", "out/tileset.json", "--frame", "rub"],
-            ["The frame of out/tileset.json cannot", "all .glb files use the same one"],
+            ["frame of out/tileset.json cannot", "same one", "--frame rub: and nothing after the"],
         ),
         (["a.ply", "out.rad", "--frame", "rdf:"], ["The frame of out.rad is missing"]),
         (["a.ply", "out.ssog", "--frame", "rdf:"], ["The frame of out.ssog is missing"]),

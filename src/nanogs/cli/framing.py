@@ -91,7 +91,8 @@ def _frame_written(path: Path, before: str, after: str, called: Path) -> str:
         if after:
             raise OptionError(
                 f"The frame of {called} cannot be chosen, because all {known.suffix} files use the"
-                f" same one; give only the frame of IN, as in --frame {before or 'rub'}:"
+                f" same one; give that of IN alone, with --frame {before or 'rub'}: and nothing"
+                " after the colon."
             )
         return TRAINED
     if not after:
