@@ -107,14 +107,16 @@ def test_the_typical_deviation_is_that_along_the_longest_axis(splats):
 def test_a_visible_switch_is_noted(splats, psnr, ssim, visible):
     _, report = nanogs.simplify(splats, ratio=0.5, preset="fast")
     level = Written(3, ("a",), 5, switch=(12.4, psnr, ssim, 8, 200.0))
-    manifest = describe_levels("a.ply", [report, report], [level._replace(switch=None), level])
+    written = [level._replace(switch=None), level, level]
+    manifest = describe_levels("a.ply", [report] * 3, written)
     assert manifest.levels[0].switch is None
     assert manifest.levels[1].switch.seen is visible
-    notes = [
-        note for note in manifest.notes if note.startswith("Level 1: the switch to it is visible")
-    ]
-    assert len(notes) == visible
-    assert not notes or "12.4 units" in notes[0]
+    notes = [note for note in manifest.notes if "switch" in note]
+    assert len(notes) == 3 * visible  # one for each level, and what helps against all of them
+    for number, note in enumerate(notes[:2], 1):
+        assert note.startswith(f"Level {number}: the switch to it is visible in a viewer (")
+        assert note.endswith("from 12.4 units on).")
+    assert not notes or notes[2].startswith("A switch is visible below 33 dB or 0.95, where")
 
 
 @pytest.mark.parametrize("name", ["a/lod-meta.json", "a/tileset.json", "a.ssog", "a.rad"])

@@ -19,6 +19,10 @@ from nanogs.switches import GOOD_PSNR, GOOD_SSIM, SwitchQuality
 NAME = LEVEL_LIST
 FORMAT = "nanogs-levels"
 VERSION = 1
+_WHAT_HELPS = (
+    f"A switch is visible below {GOOD_PSNR:g} dB or {GOOD_SSIM:g}, where a difference is more than"
+    " slight; give more levels or larger ratios, or use the preset `best`."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,8 +149,7 @@ def describe_levels(
         prefix = f"Level {level}: " if level else ""
         notes += [prefix + loss for loss in each.losses if loss not in notes]
         notes += each.notes
-        if each.switched and each.switched.seen:
-            notes.append(_seen_note(level, each.switched))
+    notes += _seen_switches(written)
     *beside, taken = written[0].environment or (0,)
     return Manifest(
         generator=GENERATOR,
@@ -173,12 +176,14 @@ def _equal_levels(counts: Sequence[int]) -> list[str]:
     return notes
 
 
-def _seen_note(level: int, switch: SwitchQuality) -> str:
-    return (
-        f"Level {level}: the switch to it is visible in a viewer ({switch.text}; below"
-        f" {GOOD_PSNR:g} dB or {GOOD_SSIM:g} a difference is more than slight). Give more levels"
-        " or larger ratios, or the preset `best`."
-    )
+def _seen_switches(written: Sequence[Written]) -> list[str]:
+    """Return a note for each level whose switch is visible, and one on what helps, if any is."""
+    notes = [
+        f"Level {level}: the switch to it is visible in a viewer ({each.switched.text})."
+        for level, each in enumerate(written)
+        if each.switched and each.switched.seen
+    ]
+    return [*notes, _WHAT_HELPS] if notes else []
 
 
 def _entry(report: SimplifyReport, written: Written) -> Level | ChunkedLevel:
