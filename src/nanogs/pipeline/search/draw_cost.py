@@ -76,9 +76,9 @@ def search_share(
             if probe.share > 1:  # more than can be asked for
                 remedy = "splats of the result are larger, so ask for a `ratio` or a `count`"
             raise TooSmallError(
-                f"A draw cost of {asked:.2%} is too small: {counted(fewest, 'splat')}, the fewest"
-                f" that this model can be reduced to, cost {probe.share:.2%} of the whole model;"
-                f" {remedy}."
+                f"A draw cost of {100 * asked:.4g}% is too small: {counted(fewest, 'splat')}, the"
+                f" fewest that this model can be reduced to, cost {probe.share:.2%} of the whole"
+                f" model; {remedy}."
             )
         power = _power(probes) if len(probes) > 1 else power
         count = _next(fits, over, probe, asked, power, len(probes))
