@@ -952,6 +952,15 @@ def test_an_empty_scratch_is_refused(scene, tmp_path):
         nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, scratch="", **FAST)
 
 
+def test_a_file_in_place_of_the_scratch_folder_is_refused(scene, tmp_path):
+    (tmp_path / "file").touch()
+    for place in (tmp_path / "file", tmp_path / "file" / "inside"):
+        with pytest.raises(OutputError) as refused:
+            nanogs.simplify_blocks(scene, tmp_path / "a.ply", ratio=0.3, scratch=place, **FAST)
+        assert str(refused.value) == f"{place} is not a folder; name another one with `scratch`."
+    assert names_in(tmp_path) == ["file"]
+
+
 @pytest.mark.parametrize(
     "name",
     ["result-1.ply", "result-x/a.txt", f"{RESULT}s.txt", "scratch/a.npy", "scratch", "lock"],

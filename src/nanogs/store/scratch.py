@@ -14,6 +14,7 @@ from typing import BinaryIO, Protocol, cast
 import numpy as np
 
 from nanogs._types import Array
+from nanogs.errors import OutputError
 from nanogs.io.atomic import output_error
 from nanogs.io.folder import make_folders, remove_empty
 from nanogs.io.urls import is_url
@@ -103,6 +104,10 @@ class FolderScratch:
             around = make_folders(self.folder)[1:]
             if around:
                 (self.folder / PARENT_MARKER).write_text(f"{len(around)}")
+        except NotADirectoryError as error:
+            raise OutputError(
+                f"{self.folder.parent} is not a folder; name another one with `scratch`."
+            ) from error
         except OSError as error:
             raise output_error(self.folder, error) from error
 
