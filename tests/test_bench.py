@@ -953,6 +953,17 @@ def test_the_reason_is_that_of_a_row_that_failed(model, tmp_path):
     assert "gone.ply" in result.stderr.split("Nothing was measured")[1]
 
 
+def test_a_method_that_fails_changes_the_exit_code_but_not_the_tables(model, tmp_path):
+    (tmp_path / "bad.ply").write_bytes(b"ply")
+    options = ("--methods", "opacity", "--external", f"them={tmp_path}/bad.ply", "--ratios", "0.5")
+    out = tmp_path / "out"
+    result = run("bench", model, *options, "--views", 1, "--sizes", 16, "--quiet", "--out", out)
+    assert result.returncode == 3
+    assert result.stderr.startswith(f"error: 1 result failed, first that of them for {model.stem}")
+    assert result.stderr.count("\n") == 1
+    assert "them at 0.5: failed: " in (out / "results.md").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("folder_exists", [False, True])
 def test_nothing_is_written_if_nothing_was_measured(tmp_path, folder_exists):
     out = tmp_path / "made" / "out"

@@ -149,7 +149,6 @@ def bench(
     from nanogs.bench.preamble import preamble
     from nanogs.bench.settings import BenchSettings
     from nanogs.bench.tables import markdown
-    from nanogs.cli.console import fail
     from nanogs.formatting import plain
 
     targets = _targets(ratios, sizes_of_files, formats)
@@ -186,10 +185,28 @@ def bench(
     if settings.file_sizes:
         data["gains"] = [plain(gain) for gain in mean_gains(rows, others)]
     reporting.report(data, lambda: typer.echo(above + markdown(rows, others=others), nl=False))
+    _exit_if_failed(rows)
+
+
+def _exit_if_failed(rows: "list[BenchRow]") -> None:
+    """Say that nothing was measured, or which result failed first, and exit.
+
+    Raises:
+        typer.Exit: With code 2 if nothing was measured, with 3 if a method failed.
+    """
+    from nanogs.bench.rows import Status
+    from nanogs.cli.console import fail
+    from nanogs.formatting import counted
+
     if not any(row.measured for row in rows):
-        failed = next(row for row in rows if row.reason)
-        fail(f"Nothing was measured; {failed.scene}: {failed.reason}")
+        first = next(row for row in rows if row.reason)
+        fail(f"Nothing was measured; {first.scene}: {first.reason}")
         raise typer.Exit(2)
+    if failed := [row for row in rows if row.status is Status.FAILED]:
+        first, number = failed[0], counted(len(failed), "result")
+        where = f"{first.method} for {first.scene} at {first.target.text}"
+        fail(f"{number} failed, first that of {where}: {first.reason}")
+        raise typer.Exit(3)
 
 
 def _run(
