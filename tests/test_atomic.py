@@ -16,12 +16,17 @@ from nanogs.cli.wording import wording
 from nanogs.errors import ExistsError, OptionError, OutputError
 from nanogs.io import file_objects, in_order, temporary
 from nanogs.io.atomic import atomic_write, check_writable, move_into_place
+from nanogs.io.folder import check_folder_writable
 from nanogs.sink import move_file
 
 
 @pytest.fixture
 def target(tmp_path):
     return tmp_path / "out.ply"
+
+
+def check_folder(path, **options):
+    check_folder_writable(path, lambda _: None, **options)
 
 
 def write_file(path, data=b"new", **options):
@@ -231,6 +236,16 @@ def test_a_symbolic_link_is_followed_and_kept(tmp_path, target):
     write_file(target, overwrite=True)
     assert target.is_symlink()
     assert (folder / "model.ply").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("check", [write_file, check_writable, check_folder])
+def test_links_that_lead_round_in_a_circle_are_refused_and_kept(tmp_path, check, overwrite):
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    with pytest.raises(OutputError, match="a is a symbolic link to itself; remove it first"):
+        check(tmp_path / "a", overwrite=overwrite)
+    assert (tmp_path / "a").is_symlink()
 
 
 def test_the_target_of_a_dangling_link_is_created(tmp_path, target):

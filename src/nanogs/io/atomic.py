@@ -79,12 +79,18 @@ def _target(path: Path, *, overwrite: bool) -> Path:
         return target
 
 
-def refuse_without_parent(target: Path) -> None:
+def refuse_without_parent(path: Path, target: Path) -> None:
     """Refuse an output for which there is no folder.
 
+    Args:
+        path: The output.
+        target: The same with its symbolic links resolved.
+
     Raises:
-        OutputError: The folder does not exist, or is a file.
+        OutputError: The folder does not exist, or is a file; or the links lead round in a circle.
     """
+    if target.is_symlink():  # those that lead somewhere are resolved
+        raise OutputError(f"{path} is a symbolic link to itself; remove it first.")
     if not target.parent.exists():
         raise OutputError(f"The folder {target.parent} does not exist; create it first.")
     if not target.parent.is_dir():
@@ -94,7 +100,7 @@ def refuse_without_parent(target: Path) -> None:
 def _check_target(path: Path, target: Path, *, overwrite: bool) -> None:
     if target.is_dir():
         raise OutputError(f"{path} is a folder; name a file in it as the output.")
-    refuse_without_parent(target)
+    refuse_without_parent(path, target)
     if not target.exists():
         return
     if not target.is_file():

@@ -88,7 +88,7 @@ def _target(path: Path, ours: Ours, *, overwrite: bool) -> Path:
 
 
 def _check_target(path: Path, target: Path, ours: Ours, *, overwrite: bool) -> None:
-    refuse_without_parent(target)
+    refuse_without_parent(path, target)
     if not target.exists():
         return
     if not target.is_dir():
