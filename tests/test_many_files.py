@@ -180,6 +180,7 @@ def test_conflicting_or_impossible_outputs_write_nothing(folder, tmp_path):
         ),
         ((folder, "--out-dir", folder / "a.ply"), "cannot be made"),
         ((folder / "**" / "a*", folder / "a.spz", "--out-dir", "y", "--format", "ply"), "both"),
+        ((folder, "--out-dir", "y", "--to", "spz"), "with --out-dir, give --format spz instead."),
     ):
         result = run("convert", *arguments, cwd=tmp_path)
         assert (result.returncode, result.stdout) == (2, "")

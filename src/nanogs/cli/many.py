@@ -67,6 +67,10 @@ def plan_pairs(paths: list[Path], files: Files) -> list[Pair]:
             raise OptionError(
                 "- cannot be combined with --out-dir, because a pipe holds one model; name files."
             )
+        if (given := files.write_as) is not None:
+            raise OptionError(
+                f"--to is the format of a pipe; with --out-dir, give --format {given} instead."
+            )
         return pair_up(collect(paths), out_dir, suffix)
     if suffix is not None:
         raise OptionError(
