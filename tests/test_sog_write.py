@@ -17,8 +17,10 @@ from nanogs.errors import OptionError, OutputError
 from nanogs.io.palette import palette
 from nanogs.io.precision import visibility
 from nanogs.io.rotations import minimise_rotation
+from nanogs.io.sog import rounding
 from nanogs.io.sog import write as sog_write
 from nanogs.io.sog.codebook import codebook, nearest
+from nanogs.io.sog.options import USUAL_PALETTE
 from nanogs.io.spz import write as spz_write
 from nanogs.source import InMemory
 from nanogs.splats import ExtraElement, RenderMode, Splats, concatenate
@@ -392,7 +394,7 @@ def test_the_palette_has_the_requested_number_of_entries(tmp_path, size):
 
 def test_the_default_palette_size_grows_with_the_model():
     counts = [1, 1000, 1500, 1650, 98_304, 10**7]
-    sizes = [sog_write.USUAL_PALETTE.entries(count) for count in counts]
+    sizes = [USUAL_PALETTE.entries(count) for count in counts]
     assert sizes == [1024, 1024, 1024, 1100, 65_536, 65_536]
 
 
@@ -526,7 +528,7 @@ def test_a_sky_does_not_coarsen_the_centres_of_what_is_near():
     sky = random_model(200, 0)
     sky.means[:], sky.log_scales[:] = 100 * rng.normal(0, 1, (200, 3)), np.log(10)
     both = concatenate([near, sky])
-    for spare_bits in (sog_write.spare_bits, lambda model: spz_write.spare_bits(InMemory(model))):
+    for spare_bits in (rounding.spare_bits, lambda model: spz_write.spare_bits(InMemory(model))):
         assert spare_bits(sky) >= 4
         assert spare_bits(both) <= spare_bits(near) + 1 < 4
     assert visibility(both)[:2000].std() > 0.1 * visibility(both)[:2000].mean()
@@ -556,7 +558,7 @@ def test_centres_that_were_read_keep_their_precision(tmp_path):
     model.means[:], model.log_scales[:] = [[0, 0, 0], [1, 1, 1]], [[-5.36], [-2.2]]
     model.opacity_logits[:] = [0.1, -4.3]
     once = saved(tmp_path, model)
-    assert sog_write.spare_bits(once) == sog_write.spare_bits(model)
+    assert rounding.spare_bits(once) == rounding.spare_bits(model)
     assert saved(tmp_path, once).means.tobytes() == once.means.tobytes()
 
 

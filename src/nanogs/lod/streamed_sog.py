@@ -93,9 +93,9 @@ class StreamedSog(ChunkLayout):
 
     def losses(self, splats: Splats) -> tuple[str, ...]:
         """Name the parts of a model that SOG leaves out; see `ChunkLayout`."""
-        from nanogs.io.sog import write as sog_write
+        from nanogs.io.sog.unstorable import losses
 
-        return sog_write.losses(splats)
+        return losses(splats)
 
     def environment_files(self, splats: Splats) -> Mapping[str, bytes]:
         """Make the files of the environment, a SOG model in its own folder; see `ChunkLayout`."""

@@ -35,6 +35,7 @@ from nanogs.splats import RenderMode
 MAX_META_BYTES = 1 << 22  # a usual meta.json has 10 to 20 KB
 CODES = 256  # number of codes of a byte
 LAST_CODE = (1 << 16) - 1  # largest code of a coordinate, which has 16 bits
+MAX_DEGREE = 3  # of SH coefficients
 PALETTE_COLUMNS = 64
 PALETTE_MAX = 1 << 16
 MODELS = {
@@ -164,7 +165,7 @@ class _Fields:
         if self._data.get("shN") is None:
             return 0
         given = self._table("shN").get("bands")
-        return None if given is None else integer(given, self._at("shN", "bands"), 0, 3)
+        return None if given is None else integer(given, self._at("shN", "bands"), 0, MAX_DEGREE)
 
     def files(self, rest: bool) -> dict[str, str]:
         textures: dict[str, tuple[str, ...]] = {"means": ("means_l", "means_u")}

@@ -5,7 +5,9 @@ Its first chunks state the image size, so that a decompression bomb is refused b
 """
 
 import io
+import math
 import struct
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,6 +20,20 @@ HEAD_BYTES = 1 << 16  # enough for the chunks before the image data, unless ther
 # Compression effort, not fidelity. Higher methods take 2 to 4 times as long for files that differ
 # by -0.2 to 0.7 %; see `docs/performance.md`.
 _QUALITY, _METHOD = 70, 2
+_BLOCK = 4  # width and height of textures are multiples of it
+
+Submit = Callable[[str, U8], None]
+"""Starts the encoding of a texture, by name."""
+
+
+def as_texture(texels: U8) -> U8:
+    """Arrange (N, C) bytes as an almost square texture, (H, W, C), padded with zeros."""
+    count, channels = texels.shape
+    width = _BLOCK * math.ceil(math.sqrt(count) / _BLOCK)
+    height = _BLOCK * math.ceil(count / width / _BLOCK)
+    out = np.zeros((height * width, channels), np.uint8)
+    out[:count] = texels
+    return out.reshape(height, width, channels)
 
 
 def encode(texels: U8) -> bytes:
