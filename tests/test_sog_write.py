@@ -21,7 +21,7 @@ from nanogs.io.sog import rounding
 from nanogs.io.sog import write as sog_write
 from nanogs.io.sog.codebook import codebook, nearest
 from nanogs.io.sog.options import USUAL_PALETTE
-from nanogs.io.spz import write as spz_write
+from nanogs.io.spz.centres import spare_bits as spz_spare_bits
 from nanogs.source import InMemory
 from nanogs.splats import ExtraElement, RenderMode, Splats, concatenate
 from nanogs.threads import most_threads, use_threads
@@ -528,7 +528,7 @@ def test_a_sky_does_not_coarsen_the_centres_of_what_is_near():
     sky = random_model(200, 0)
     sky.means[:], sky.log_scales[:] = 100 * rng.normal(0, 1, (200, 3)), np.log(10)
     both = concatenate([near, sky])
-    for spare_bits in (rounding.spare_bits, lambda model: spz_write.spare_bits(InMemory(model))):
+    for spare_bits in (rounding.spare_bits, lambda model: spz_spare_bits(InMemory(model))):
         assert spare_bits(sky) >= 4
         assert spare_bits(both) <= spare_bits(near) + 1 < 4
     assert visibility(both)[:2000].std() > 0.1 * visibility(both)[:2000].mean()

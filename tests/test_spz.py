@@ -24,6 +24,9 @@ from nanogs.io.precision import Precision
 from nanogs.io.rotations import minimise_rotation
 from nanogs.io.spz import header as spz_header
 from nanogs.io.spz import write as spz_write
+from nanogs.io.spz.centres import fraction_bits
+from nanogs.io.spz.codes import STEPS
+from nanogs.io.spz.unstorable import losses
 from nanogs.splats import ExtraElement, RenderMode, Splats
 from npm_packages import splat_transform
 from spzfiles import encode, row
@@ -338,7 +341,7 @@ def half_steps(model, bits):
 def test_round_trip_within_half_a_step(tmp_path, model, version):
     model = replace(model, sh=np.clip(model.sh, -0.99, 0.99), comments=())
     again = round_trip(model, tmp_path / "a.spz", version)
-    for name, step in half_steps(model, spz_write.fraction_bits(model)).items():
+    for name, step in half_steps(model, fraction_bits(model)).items():
         error = np.abs(getattr(again, name).astype(np.float64) - getattr(model, name))
         assert (error <= step + 1e-6).all(), name
     assert np.abs(again.opacities() - model.opacities()).max() <= 0.5 / 255 + 1e-7
@@ -356,7 +359,7 @@ def test_values_that_were_read_are_written_unchanged(tmp_path, model, version):
     twice = round_trip(once, tmp_path / "b.spz", version)
     for name in ("means", "log_scales", "opacity_logits", "sh"):
         assert getattr(once, name).tobytes() == getattr(twice, name).tobytes(), name
-    assert spz_write.losses(once) == ()
+    assert losses(once) == ()
 
 
 @pytest.mark.parametrize("version", WRITTEN)
@@ -398,10 +401,10 @@ def test_fraction_bits_depend_on_the_extent_of_the_scene(tmp_path, extent, bits)
     model = random_splats(2)
     model.means[:] = [[extent, 0, 0], [0, -extent, 0]]
     model.log_scales[:] = -20
-    assert spz_write.fraction_bits(model) == bits
+    assert fraction_bits(model) == bits
     again = round_trip(model, tmp_path / "a.spz")
     assert np.abs(again.means - model.means).max() <= 0.5 / 2**bits
-    reported = any("are rounded to" in loss for loss in spz_write.losses(model))
+    reported = any("are rounded to" in loss for loss in losses(model))
     assert reported == (bits < 12)
 
 
@@ -411,7 +414,7 @@ def test_centres_of_large_splats_have_fewer_fraction_bits(tmp_path, size, bits):
     model = random_splats(50)
     model.means[:] *= np.float32(10)
     model.log_scales[:] = np.log(size)
-    assert spz_write.fraction_bits(model) == bits
+    assert fraction_bits(model) == bits
     again = round_trip(model, tmp_path / "a.spz")
     assert 0.4 / 2**bits < np.abs(again.means - model.means).max() <= 0.5 / 2**bits + 1e-6
 
@@ -430,7 +433,7 @@ def test_centres_that_were_read_keep_their_fraction_bits(tmp_path, centre, log_s
     model = random_splats(1)
     model.means[:], model.log_scales[:] = centre, log_scales
     once = round_trip(model, tmp_path / "a.spz")
-    assert spz_write.fraction_bits(once) == spz_write.fraction_bits(model)
+    assert fraction_bits(once) == fraction_bits(model)
     assert round_trip(once, tmp_path / "b.spz").means.tobytes() == once.means.tobytes()
 
 
@@ -465,8 +468,8 @@ def test_a_scene_just_larger_than_a_power_of_two_is_written_again_unchanged(beyo
     options = given | io.derived_options(model, "a.spz", given)
     once, size = io.round_trip_with_size(model, "a.spz", given)
     assert io.round_trip_with_size(model, "a.spz", options)[1] == size
-    assert spz_write.fraction_bits(once, Precision(8, given.get("spare_bits"))) == (
-        spz_write.fraction_bits(model, Precision(8, options["spare_bits"]))
+    assert fraction_bits(once, Precision(8, given.get("spare_bits"))) == (
+        fraction_bits(model, Precision(8, options["spare_bits"]))
     )
     assert_same(once, io.round_trip(once, "a.spz", given))
 
@@ -520,7 +523,7 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
     model = random_splats(2000)
     default_bytes = io.encoded_bytes(model, tmp_path / "a.spz")
     io.save(model, tmp_path / "a.spz", format_options={"bits": bits})
-    step, (version, columns) = spz_write.STEPS[bits], columns_of(tmp_path / "a.spz")
+    step, (version, columns) = STEPS[bits], columns_of(tmp_path / "a.spz")
     assert version == 2
     for name, each, first in (
         ("alphas", step.alphas, 255),
@@ -533,7 +536,7 @@ def test_fewer_bits_round_more_and_take_less(tmp_path, bits):
         assert ((inside - first) % each == 0).all(), name
         assert len(np.unique(inside)) > 60 / each
     again = io.load(tmp_path / "a.spz")
-    fraction = spz_write.fraction_bits(model, Precision(bits))
+    fraction = fraction_bits(model, Precision(bits))
     model = model.take(order_by_y(model, fraction))
     assert np.abs(again.means - model.means).max() <= 0.5 / 2**fraction + 1e-6
     quats, log_scales = minimise_rotation(model)  # axes may be in any order
@@ -584,12 +587,12 @@ def test_rotations_of_other_versions_are_rounded_too(tmp_path, version):
         sizes.append((tmp_path / "a.spz").stat().st_size)
         again = io.load(tmp_path / "a.spz")
         if bits < 8:
-            fraction = spz_write.fraction_bits(model, Precision(bits))
+            fraction = fraction_bits(model, Precision(bits))
             quats, _ = minimise_rotation(model.take(order_by_y(model, fraction)))
         else:
             quats = model.unit_quats()
         turned = 2 * np.arccos(np.abs((again.unit_quats() * quats).sum(axis=1)).clip(0, 1)).max()
-        step = spz_write.STEPS[bits].magnitudes * math.sqrt(0.5) / 511
+        step = STEPS[bits].magnitudes * math.sqrt(0.5) / 511
         assert step < turned < (2.5 if bits < 8 else 4) * step
     assert sizes == sorted(sizes, reverse=True)
 
@@ -628,7 +631,7 @@ def test_half_turns_of_any_length_are_written_as_unit_rotations(tmp_path):
 def test_rows_are_sorted_only_if_values_are_rounded(tmp_path):
     model = random_splats(500, degree=1)
     io.save(model, tmp_path / "a.spz")
-    fraction = spz_write.fraction_bits(model)
+    fraction = fraction_bits(model)
     assert np.abs(io.load(tmp_path / "a.spz").means - model.means).max() <= 0.5 / 2**fraction
     io.save(model, tmp_path / "b.spz", format_options={"bits": 6, "palette": 20})
     loaded = io.load(tmp_path / "b.spz")
@@ -644,7 +647,7 @@ def test_large_files_are_compressed_in_the_given_order(tmp_path, monkeypatch):
     io.save(model, tmp_path / "a.spz", **options)
     monkeypatch.setattr("nanogs.io.spz.packing.WHOLE", 500 * 28 - 1)
     io.save(model, tmp_path / "b.spz", **options)
-    fraction = spz_write.fraction_bits(model, Precision(6))
+    fraction = fraction_bits(model, Precision(6))
     first, second = io.load(tmp_path / "a.spz"), io.load(tmp_path / "b.spz")
     assert_same(first, replace(second.take(order_by_y(model, fraction)), notes=first.notes))
     assert np.abs(second.means - model.means).max() <= 0.5 / 2**fraction
@@ -773,7 +776,7 @@ def test_losses_are_counted(tmp_path):
     )
     model.log_scales[:] = -4
     model.sh[:] = 0
-    assert len(spz_write.losses(model)) == 4
+    assert len(losses(model)) == 4
     model.log_scales[1:] = [-np.inf, -10.1, 6]
     model.sh[0, 0, 0] = 3.5
     model.sh[0:2, 2, 1] = -1.1
@@ -796,10 +799,10 @@ def test_values_that_are_rounded_to_the_ends_of_a_range_are_not_called_clamped()
     model = random_splats(3, degree=1)
     model.log_scales[:] = [[-10.03, 0, 5.96]] * 3  # half a step is 1/32
     model.sh[:] = np.array([0, -1 - 3.9 / 128, 127 / 128 + 3.9 / 128, 0])[:, None]
-    assert spz_write.losses(model) == ()
+    assert losses(model) == ()
     model.log_scales[:2] = [[-10.04, 0, 0], [0, 5.98, 0]]
     model.sh[1, 1, 0], model.sh[2, 2, 0] = -1 - 4.1 / 128, 127 / 128 + 4.1 / 128
-    scales, harmonics = map(str, spz_write.losses(model))
+    scales, harmonics = map(str, losses(model))
     assert scales.startswith("2 splats have log-scales outside")
     assert harmonics.startswith("2 splats have higher SH coefficients outside")
 

@@ -74,7 +74,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
     first distance, are not named: which these are depends on the first view of the whole model, and
     this may be some of its rows.
     """
-    from nanogs.io.spz.write import clamped_colours
+    from nanogs.io.spz.unstorable import clamped_colours
 
     found = limits.left_out(splats, SUFFIX, max_degree=_MAX_DEGREE)
     found += limits.lost_mode(splats, SUFFIX, RenderMode.MIP)

@@ -22,6 +22,7 @@ from nanogs.io.html import RANGE_OF
 from nanogs.io.spz import write as spz_write
 from nanogs.io.spz.packing import BEST
 from nanogs.io.spz.read import SCALE_LOW
+from nanogs.io.spz.unstorable import losses
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.opening import Opening
 
@@ -78,7 +79,7 @@ def pack(splats: Splats, start: Opening, *, quick: bool = False) -> Packed:
     file = io.BytesIO()
     spz_write.write(placed, file, gzip_level=_QUICK if quick else BEST)
     mip = splats.render_mode is RenderMode.MIP
-    return Packed(file.getvalue(), mip, (*notes, *spz_write.losses(placed, range_of=RANGE_OF)))
+    return Packed(file.getvalue(), mip, (*notes, *losses(placed, range_of=RANGE_OF)))
 
 
 def unpack(packed: Packed, start: Opening) -> Splats:

@@ -19,6 +19,7 @@ from nanogs.io.gltf.primitives import MAX_DEGREE, PACKED, attribute, coefficient
 from nanogs.io.gltf.scene import EXTENSION, TO_PLY
 from nanogs.io.gltf.write import document_of, head, primitive_of
 from nanogs.io.spz import write as spz_write
+from nanogs.io.spz.unstorable import losses as spz_losses
 from nanogs.splats import Splats
 
 _SUFFIX = ".glb"
@@ -47,7 +48,7 @@ def write(splats: Splats, file: BinaryIO) -> None:
 def losses(splats: Splats) -> tuple[str, ...]:
     """Name what the file leaves out or clamps, one sentence each."""
     cut = splats.with_sh_degree(MAX_DEGREE)
-    found = spz_write.losses(cut, records=False, suffix=_SUFFIX)
+    found = spz_losses(cut, records=False, suffix=_SUFFIX)
     if cut.sh_degree == splats.sh_degree:
         return found
     return (limits.degree_left_out(_SUFFIX, MAX_DEGREE), *found)

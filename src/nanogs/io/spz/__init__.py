@@ -5,10 +5,12 @@ from collections.abc import Sequence
 from nanogs.io.format import Format, FormatOptions, WriteOption
 from nanogs.io.precision import FEWEST_BITS, MOST_BITS, MOST_SPARE_BITS
 from nanogs.io.rate_distortion import Quantisation
-from nanogs.io.spz import write
-from nanogs.io.spz.header import GZIP, MAGIC, RECORDED_FRAMES
+from nanogs.io.spz import rounding, write
+from nanogs.io.spz.centres import spare_bits
+from nanogs.io.spz.header import GZIP, MAGIC, RECORDED_FRAMES, VERSION_WITH_FRAME
 from nanogs.io.spz.read import open_spz
 from nanogs.io.spz.records import is_record_name
+from nanogs.io.spz.unstorable import losses
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -28,12 +30,12 @@ def _version(options: FormatOptions) -> int:
 
 
 def _derived_options(source: Source, options: FormatOptions) -> FormatOptions:
-    return {"spare_bits": write.spare_bits(source, options.get("bits") or MOST_BITS)}
+    return {"spare_bits": spare_bits(source, options.get("bits") or MOST_BITS)}
 
 
 def _quantisation(splats: Splats, options: FormatOptions) -> Quantisation:
     bits, spare = options.get("bits") or MOST_BITS, options.get("spare_bits")
-    return write.quantisation(splats, bits, _version(options), spare)
+    return rounding.quantisation(splats, bits, _version(options), spare)
 
 
 def _check_options(options: FormatOptions) -> None:
@@ -52,7 +54,7 @@ FORMATS = (
         ".spz",
         open_spz,
         write.write,
-        losses=write.losses,
+        losses=losses,
         frame=_FRAME,
         axes=None,
         options={
@@ -65,7 +67,7 @@ FORMATS = (
             "spare_bits": WriteOption("spare", range(MOST_SPARE_BITS + 1)),
             "frame": WriteOption("frame", RECORDED_FRAMES),
         },
-        states_frame=lambda options: _version(options) == write.VERSION_WITH_FRAME,
+        states_frame=lambda options: _version(options) == VERSION_WITH_FRAME,
         check_options=_check_options,
         check_elements=_check_elements,
         derived_options=_derived_options,

@@ -33,6 +33,7 @@ from nanogs.io.files import check_expansion, damaged, splat_bytes, unreadable
 from nanogs.io.section import Section
 from nanogs.splats import MAX_SH_DEGREE
 
+SUFFIX = ".spz"
 MAGIC = b"NGSP"
 LEGACY_HEADER = struct.Struct("<4sIIBBBB")
 HEADER = struct.Struct("<4sIIBBBBI12x")
@@ -47,6 +48,8 @@ RECORDED_FRAMES = (
 ANTIALIASED, EXTENSIONS, LOD_TREE = 0x1, 0x2, 0x80
 MAX_FRACTION_BITS = 24
 LAST_GZIP = 3  # the last version that is a single gzip stream
+VERSION_SHORT_ROTATIONS = 2  # the last one with 3-byte rotations
+VERSION_WITH_FRAME = 4  # the one that can state a frame
 
 GZIP = b"\x1f\x8b"
 _CHUNK = 1 << 20
@@ -100,7 +103,7 @@ def column_widths(version: int, degree: int) -> dict[str, int]:
         "alphas": 1,
         "colours": 3,
         "scales": 3,
-        "rotations": 3 if version <= 2 else 4,
+        "rotations": 3 if version <= VERSION_SHORT_ROTATIONS else 4,
     }
     if degree:
         widths["sh"] = 3 * ((degree + 1) ** 2 - 1)
