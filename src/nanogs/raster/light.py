@@ -9,11 +9,11 @@ from nanogs import parallel
 from nanogs._types import F64, U8
 from nanogs.card.device import engine_in_use
 from nanogs.raster.camera import Camera
+from nanogs.raster.checks import background_of
 from nanogs.raster.rendering import (
     BLACK,
     PreparedSplats,
     Rendering,
-    background_of,
     picture_of,
     render,
     view_on,

@@ -14,14 +14,13 @@ import numpy as np
 from nanogs import parallel
 from nanogs._types import F32, F64, I32, I64, Bool, F
 from nanogs.card.device import engine_in_use
-from nanogs.errors import OptionError
 from nanogs.kernels import listing, raster
 from nanogs.kernels import project as projection
 from nanogs.kernels.blocks import ALL_BLOCKS
 from nanogs.kernels.factors import factor_rows
 from nanogs.kernels.radix import sorted_rows
-from nanogs.ranges import is_number
 from nanogs.raster.camera import Camera
+from nanogs.raster.checks import background_of, check_camera, evaluated_degree
 from nanogs.slices import SLICE_STEPS, slices
 from nanogs.splats import RenderMode, Splats, padded, refuse_other
 
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from nanogs.card.engine import DeviceSplats, Engine, View
 
 BLACK = (0.0, 0.0, 0.0)
-_ROUNDING = 0.01  # largest entry of |RRᵀ - I| of a camera; those of files are nearer
 _RUNS = 2  # runs of entries that are summed separately; fixed, so that threads do not matter
 SURFEL_NOTE = "a 2dgs model is drawn as flat 3D Gaussians, not by intersecting rays with surfels"
 
@@ -278,7 +276,7 @@ def view_on(
     Except for the engine, arguments and errors are those of `project`.
     """
     check_camera(camera)
-    degree = _degree(prepared, sh_degree)
+    degree = evaluated_degree(prepared.sh_degree, sh_degree)
     model = engine.held(prepared, lambda: uploaded(engine, prepared))
     return model.view(*camera_arrays(camera), degree)
 
@@ -362,7 +360,7 @@ def project_rows(
     Arguments and errors are those of `project`.
     """
     check_camera(camera)
-    degree = _degree(prepared, sh_degree)
+    degree = evaluated_degree(prepared.sh_degree, sh_degree)
     buffers = prepared.buffers or _buffers(len(prepared))
     projection.project_splats(
         prepared.means,
@@ -475,57 +473,3 @@ def _expected_depth(weighted: F32, alpha: F32) -> F32:
     depth = np.full(alpha.shape, np.inf, np.float32)
     np.divide(weighted, alpha, out=depth, where=alpha > 0)
     return depth
-
-
-def background_of(background: tuple[float, float, float], *, depth: bool) -> F32:
-    """Return the background to blend over, (3,) float32, or (4,) with depth, whose value is 0.
-
-    Raises:
-        OptionError: It is not three finite numbers.
-    """
-    try:
-        values = np.array([*background, 0.0], np.float32)
-    except (TypeError, ValueError):
-        values = np.empty(0, np.float32)  # is refused below
-    if values.shape != (4,) or not np.isfinite(values).all():
-        raise OptionError(f"background must be three finite numbers, not {background!r}.")
-    return values if depth else values[:3]
-
-
-def _degree(prepared: PreparedSplats, sh_degree: int | None) -> int:
-    if sh_degree is None:
-        return prepared.sh_degree
-    if not (is_number(sh_degree, whole=True) and sh_degree >= 0):
-        raise OptionError(f"sh_degree must be a whole number of 0 or more, not {sh_degree!r}.")
-    return min(int(sh_degree), prepared.sh_degree)
-
-
-def check_camera(camera: Camera) -> None:
-    """Raise an error if a camera cannot be rendered from.
-
-    Raises:
-        OptionError: It is no camera, or its size or one of its numbers is invalid.
-    """
-    if not isinstance(camera, Camera):
-        raise OptionError(f"A camera must be a nanogs.Camera, not {type(camera).__name__}.")
-    if not (1 <= camera.width <= projection.LARGEST and 1 <= camera.height <= projection.LARGEST):
-        raise OptionError(
-            f"A camera needs 1 to {projection.LARGEST:,} pixels along each side, not"
-            f" {camera.width} x {camera.height}."
-        )
-    least = min(camera.fx, camera.fy, camera.near, camera.dilation)
-    if not (np.isfinite(camera.intrinsics).all() and least > 0):
-        raise OptionError(
-            f"Camera {camera.name!r} needs finite intrinsics; focal lengths, near and dilation must"
-            " be above 0."
-        )
-    if camera.whole is not None and not min(camera.whole[2:]) > 0:
-        raise OptionError(f"Camera {camera.name!r} needs a `whole` picture of a size above 0.")
-    if camera.world_to_camera.shape != (4, 4) or not np.isfinite(camera.world_to_camera).all():
-        raise OptionError(f"Camera {camera.name!r} needs a finite 4 x 4 world_to_camera.")
-    turn, last = camera.world_to_camera[:3, :3], camera.world_to_camera[3]
-    if max(np.abs(turn @ turn.T - np.eye(3)).max(), np.abs(last - (0, 0, 0, 1)).max()) > _ROUNDING:
-        raise OptionError(
-            f"world_to_camera of camera {camera.name!r} is not a rotation and a translation, with"
-            " the translation in the last column; give one without scale or shear."
-        )

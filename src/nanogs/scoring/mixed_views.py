@@ -18,7 +18,8 @@ from nanogs.io.sog.chunks import Chunks, read_chunks
 from nanogs.metrics import psnr, ssim
 from nanogs.protocol import Background
 from nanogs.raster.camera import Camera
-from nanogs.raster.rendering import PreparedSplats, background_of, blend, clipped, prepare, project
+from nanogs.raster.checks import background_of
+from nanogs.raster.rendering import PreparedSplats, blend, clipped, prepare, project
 from nanogs.scoring.scores import ReferenceView
 from nanogs.splats import concatenate
 from nanogs.views.chunk_levels import NOTHING, chosen_levels, chunk_distances

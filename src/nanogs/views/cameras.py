@@ -221,7 +221,7 @@ def check_cameras(cameras: Iterable[Camera]) -> None:
     Raises:
         OptionError: The size or a number of one is invalid.
     """
-    from nanogs.raster.rendering import check_camera  # imports Numba
+    from nanogs.raster.checks import check_camera  # imports Numba
 
     for camera in cameras:
         check_camera(camera)

@@ -22,12 +22,11 @@ from nanogs.kernels.listing import cut_boxes, extent_of
 from nanogs.progress import PartProgress, each, ignore_progress
 from nanogs.protocol import BLACK
 from nanogs.raster.camera import Camera
+from nanogs.raster.checks import background_of, check_camera
 from nanogs.raster.rendering import (
     PreparedSplats,
     Rendering,
-    background_of,
     blend,
-    check_camera,
     prepare,
     project_rows,
     render,
