@@ -62,13 +62,13 @@ class Encoding:
         """Return the peak of memory in bytes, with blocks of `block` splats."""
         return max(self.file + self.joined + block * self.each, self.described)
 
-    def most(self, room: float, block: int) -> int:
-        """Return the largest number of splats of a block, up to `block`, that fits into `room`."""
+    def most(self, available: float, block: int) -> int:
+        """Return the most splats of a block, at most `block`, that `available` bytes can hold."""
         if self.each == 0:
             return block
-        if self.described > room:
+        if self.described > available:
             return 0
-        return max(min(block, int((room - self.file - self.joined) / self.each)), 0)
+        return max(min(block, int((available - self.file - self.joined) / self.each)), 0)
 
     def remedy(self) -> str:
         """Return the end of a sentence about memory: what is needed, and a remedy."""

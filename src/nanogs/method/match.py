@@ -173,15 +173,15 @@ def _match_sorted(candidates: _Candidates) -> tuple[U64, int]:
     """Match the free rows by sorting; return the keys of the pairs and the number without cost."""
     firsts, seconds, costs, taken, _ = candidates
     chosen: U64 = np.empty((len(taken) - np.count_nonzero(taken)) // 2, dtype=np.uint64)
-    room = max(int(BATCH * len(taken)), SMALLEST_BATCH)
+    most_pairs = max(int(BATCH * len(taken)), SMALLEST_BATCH)
     count, end = 0, 0
     while end < ALL:
         end = ALL
         free, without_cost = _count_free(candidates, end)
-        if free.sum() > room:
+        if free.sum() > most_pairs:
             counts = np.zeros(ALL, dtype=np.int64)
             tally_free(firsts, seconds, costs, taken, counts)
-            end = _end_of_batch(counts, room)
+            end = _end_of_batch(counts, most_pairs)
             free, _ = _count_free(candidates, end)
         keys = _sorted_keys(candidates, end, free)
         count = greedy_matching(firsts, seconds, keys, taken, chosen, count)
@@ -205,15 +205,15 @@ def _count_free(candidates: _Candidates, end: int) -> tuple[I64, int]:
     return free, int(without.sum())
 
 
-def _end_of_batch(counts: I64, room: int) -> int:
-    """Return the exclusive bound of a batch: as many upper halves as fit into `room`, at least one.
+def _end_of_batch(counts: I64, most_pairs: int) -> int:
+    """Return the exclusive bound of a batch: as many upper halves as make up to `most_pairs`.
 
     Args:
         counts: (ALL,) number of pairs by the upper half of their cost's bits.
-        room: Most pairs of a batch.
+        most_pairs: Most pairs of a batch; the lowest upper half with any is taken in any case.
     """
     lowest = int(np.argmax(counts > 0))
-    return max(int(np.searchsorted(np.cumsum(counts), room, side="right")), lowest + 1)
+    return max(int(np.searchsorted(np.cumsum(counts), most_pairs, side="right")), lowest + 1)
 
 
 def _sorted_keys(candidates: _Candidates, end: int, free: I64) -> U64:

@@ -73,7 +73,7 @@ class BlockPlan:
         Raises:
             OptionError: The memory is too little.
         """
-        if max_memory is not None and cost.memory > _room(max_memory):
+        if max_memory is not None and cost.memory > _bytes_for_splats(max_memory):
             raise OptionError(
                 f"{_must_be(_least(cost.memory), max_memory, limit)} to unpack {cost.path}; allow"
                 " more, or convert the file to .ply."
@@ -118,8 +118,9 @@ def plan_blocks(
     if block_layout is not None:
         encoding = block_layout.encoding(row, layout.sh_degree, splats, shares)
     if block is None:
-        room = _room(max_memory or 0) - beside
-        block = encoding.most(room, _largest_block(room, splats, layout, parameters, share))
+        available = _bytes_for_splats(max_memory or 0) - beside
+        largest = _largest_block(available, splats, layout, parameters, share)
+        block = encoding.most(available, largest)
         if block < min(_LEAST, splats):
             tasks = held_bytes(_LEAST, splats, layout, parameters, share)
             least = _least(beside + max(tasks, encoding.held(_LEAST)))
@@ -160,7 +161,7 @@ def _block_seconds(parameters: ForestParameters) -> float:
     return view * (parameters.views + parameters.further) * renders(parameters)
 
 
-def _room(max_memory: int) -> float:
+def _bytes_for_splats(max_memory: int) -> float:
     """Return the bytes available for splats, of those that a process may take."""
     return _SHARE * max_memory - LIBRARIES
 
@@ -184,12 +185,12 @@ def held_bytes(
 
 
 def _largest_block(
-    room: float, splats: int, layout: Layout, parameters: ForestParameters, share: float
+    available: float, splats: int, layout: Layout, parameters: ForestParameters, share: float
 ) -> int:
-    """Return the number of splats of the largest block whose tasks fit `room`, 0 for none."""
+    """Return the most splats of a block whose tasks hold at most `available` bytes; 0 for none."""
     low, high = 0, 2 * splats  # above the number of splats: one block
     while low < high:
         middle = (low + high + 1) // 2
-        fits = held_bytes(middle, splats, layout, parameters, share) <= room
+        fits = held_bytes(middle, splats, layout, parameters, share) <= available
         low, high = (middle, high) if fits else (low, middle - 1)
     return low

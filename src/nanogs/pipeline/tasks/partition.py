@@ -84,12 +84,12 @@ def partition(scratch: Scratch, settings: Settings, segments: Sequence[Record]) 
     # the last block, which may have a row more.
     coarse = settings.rows_per_code > 1
     slack = 2 * settings.rows_per_code * len(segments) if coarse else 1
-    room = max(settings.block - slack, 1)
+    most_rows = max(settings.block - slack, 1)
     codes, before = _merged(scratch, segments, settings.rows_per_code)
-    found = _divided(scratch, segments, _even(codes, before, -(-splats // room)))
+    found = _divided(scratch, segments, _even(codes, before, -(-splats // most_rows)))
     if found.largest > settings.block + slack:
         # Splats in one place, which stay together, shift the bounds of even ranges by their number.
-        found = _divided(scratch, segments, _full(codes, before, splats, room))
+        found = _divided(scratch, segments, _full(codes, before, splats, most_rows))
     if found.largest > settings.block + slack:
         raise CrowdedError(
             f"{found.largest:,} splats lie in one place and cannot be divided into blocks of"
@@ -122,13 +122,19 @@ def _even(codes: U64, before: I64, blocks: int) -> U64:
     return chosen
 
 
-def _full(codes: U64, before: I64, rows: int, room: int) -> U64:
-    """Return splitters for blocks of whole places, each as full as `room` of all `rows` allows."""
+def _full(codes: U64, before: I64, rows: int, most_rows: int) -> U64:
+    """Return splitters for blocks of whole places, each of up to `most_rows` of all rows."""
     places, firsts = np.unique(codes, return_index=True)
-    ends, splitters, at, start = np.append(before[firsts[1:]], rows), [], 0, 0
-    while (at := max(int(np.searchsorted(ends, start + room, side="right")), at + 1)) < len(places):
-        splitters.append(places[at])
-        start = int(ends[at - 1])
+    ends = np.append(before[firsts[1:]], rows)
+    splitters: list[int] = []
+    place = start = 0
+    while True:
+        fitting = int(np.searchsorted(ends, start + most_rows, side="right"))
+        place = max(fitting, place + 1)  # one place alone may have more rows
+        if place >= len(places):
+            break
+        splitters.append(places[place])
+        start = int(ends[place - 1])
     return np.array(splitters, np.uint64)
 
 
