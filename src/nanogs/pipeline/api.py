@@ -10,7 +10,7 @@ from nanogs.card.device import device_notes, use_device
 from nanogs.clock import StageClock
 from nanogs.frames import checked_frames, turned
 from nanogs.io import registry
-from nanogs.io.format import Format, FormatOptions, given_options
+from nanogs.io.format import FormatOptions, given_options
 from nanogs.io.models import Model, as_splats
 from nanogs.pipeline.checks import refuse_device, refuse_reduced, refuse_searches, refuse_small_size
 from nanogs.pipeline.in_memory import CheckedModel, NanPolicy, check_model
@@ -136,6 +136,7 @@ def simplify(
     from nanogs.pipeline.estimates.durations import simplify_stages
     from nanogs.pipeline.rounded import rounded_for_file
     from nanogs.pipeline.search.files import HeldFiles
+    from nanogs.pipeline.size_ending import with_size_ending
     from nanogs.threads import use_threads
 
     with (
@@ -171,31 +172,15 @@ def simplify(
                 outcome = replace(outcome, fields={"achieved_size": achieved})
         tracker.finish()
     if size is not None:
-        outcome = _with_size_ending(outcome, size, checked, known)
+        counts = len(outcome.splats), len(checked.rows)
+        outcome = with_size_ending(
+            outcome, size, known.file_bytes, counts,
+            lambda: outcome.splats, degree=checked.splats.sh_degree,
+        )  # fmt: skip
     small = turned(outcome.splats, frame)
     report = checked.report(goal, target, outcome, threads_used, clock, start)
     ignored = known.without_effect(given, small.sh_degree)
     return small, replace(report, notes=(*report.notes, *ignored, *device_notes(device, used)))
-
-
-def _with_size_ending(outcome: Outcome, size: int, checked: CheckedModel, known: Format) -> Outcome:
-    """Add why the count is the largest that fits, for formats of known file sizes.
-
-    If a size is only known by writing the file, the search for it has reported this already.
-    """
-    if (file_bytes := known.file_bytes) is None:
-        return outcome
-    from nanogs.pipeline.search.file_size import with_ending_on_known
-
-    small = outcome.splats
-    return with_ending_on_known(
-        outcome,
-        size,
-        len(small),
-        len(checked.rows),
-        lambda count: file_bytes(small, count),
-        left_out=small.sh_degree < checked.splats.sh_degree,
-    )
 
 
 def _searched(

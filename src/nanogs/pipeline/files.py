@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nanogs.bar import show_progress
@@ -266,30 +267,19 @@ def _in_blocks(request: Request, plan: RequestPlan, on_step: Progress | None) ->
     if request.goal.size is None:
         return report
     report = replace(report, achieved_size=bytes_on_disk(request.output))
-    return _with_size_ending(request, plan, request.goal.size, report)
+    from nanogs.pipeline.size_ending import with_size_ending
+
+    counts = report.achieved_count, report.input_count - report.dropped_nonfinite
+    return with_size_ending(
+        report, request.goal.size, request.sizer, counts,
+        lambda: _written_columns(request.output), degree=plan.sh_degree,
+    )  # fmt: skip
 
 
-def _with_size_ending(
-    request: Request, plan: RequestPlan, size: int, report: SimplifyReport
-) -> SimplifyReport:
-    """Add why the count is the largest that fits, for formats of known file sizes.
-
-    If a size is only known by writing the file, the search for it has reported this already.
-    """
-    if (sizer := request.sizer) is None:
-        return report
-    from nanogs.pipeline.search.file_size import with_ending_on_known
-
-    with open_model(request.output) as file:
-        like = no_splats(file.columns)
-    return with_ending_on_known(
-        report,
-        size,
-        report.achieved_count,
-        report.input_count - report.dropped_nonfinite,
-        lambda count: sizer(like, count),
-        left_out=like.sh_degree < plan.sh_degree,
-    )
+def _written_columns(output: Path) -> Splats:
+    """Return no splats, with the columns of a file."""
+    with open_model(output) as file:
+        return no_splats(file.columns)
 
 
 def _in_memory(request: Request, plan: RequestPlan, on_step: Progress | None) -> SimplifyReport:
