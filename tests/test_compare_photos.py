@@ -17,6 +17,7 @@ from nanogs.scoring.modes import render_findings
 from nanogs.scoring.needed import needed_bytes
 from nanogs.scoring.photos import photographs, photographs_remedy
 from nanogs.scoring.run import compare_files
+from nanogs.scoring.view_sets import Photographs
 from test_bench import write_photographs
 from viewer_bundle import require_bundle
 
@@ -76,7 +77,7 @@ def test_masks_that_are_ignored_are_noted(folder):
     small = folder / "small.ply"
     (note,) = nanogs.compare(small, small, photos=data).notes
     assert note.startswith("The masks of 1 photograph (mask_path) are ignored")
-    assert render_findings(small, photos=data).notes == (note,)
+    assert render_findings(small, Photographs(data)).notes == (note,)
     views = scene_views(BenchScene("a", small, data), nanogs.load(small), BenchSettings())
     assert note in views.notes
 

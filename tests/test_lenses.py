@@ -17,7 +17,7 @@ from nanogs.datasets.undistort import straightened
 from nanogs.errors import FormatError
 from nanogs.raster.camera import Camera
 from nanogs.raster.lens import Lens, lens_notes
-from nanogs.scoring.modes import render_findings
+from nanogs.scoring.modes import ModelViews, render_findings
 from nanogs.scoring.viewing import view_files
 from viewer_bundle import require_bundle
 
@@ -154,7 +154,7 @@ def test_pages_and_findings_say_that_the_distortion_is_ignored(tmp_path, capture
     folder, _ = capture
     io.save(random_splats(200, seed=4), tmp_path / "a.ply")
     model, notes = tmp_path / "a.ply", tuple(lens_notes(cameras_from_file(folder)))
-    assert render_findings(model, folder, costs=False).notes == notes
+    assert render_findings(model, ModelViews(folder), costs=False).notes == notes
     require_bundle()
     pair = [("a", model), ("b", model)]
     assert notes[0] in view_files(pair, tmp_path / "a.html", cameras=str(folder)).notes

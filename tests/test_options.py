@@ -30,6 +30,8 @@ from nanogs.method.parameters import ForestParameters
 from nanogs.pipeline.options.presets import idle_notes, parameters
 from nanogs.quantities import as_bytes, parse_bytes
 from nanogs.ranges import check_ranges, known_parameters, parameter
+from nanogs.scoring.modes import ModelViews
+from nanogs.scoring.view_sets import Photographs
 from test_cli import assert_refused
 from test_cli_usability import run
 from viewer_bundle import require_bundle
@@ -287,11 +289,14 @@ REACHED = {
     ),
     "info a.ply --views 3 --pixels 64x32 --cameras orbit --up 0,0,1 --threads 1 --max-memory 1GB": (
         "nanogs.scoring.modes.render_findings",
-        {"views": 3, "pixels": (64, 32), "up": (0, 0, 1), "threads": 1, "max_memory": 10**9},
+        [
+            ModelViews("orbit", 3, (64, 32), (0, 0, 1)), "'threads', 1",
+            "'max_memory', 1000000000",
+        ],
     ),
     "info a.ply --photos data --images images_4 --split train --background white": (
         "nanogs.scoring.modes.render_findings",
-        {"photos": "data", "images": "images_4", "split": "train", "background": (1, 1, 1)},
+        [Photographs(Path("data"), "images_4", "train"), "'background', (1.0, 1.0, 1.0)"],
     ),
     "info a.ply --packed .sog --palette 64 --bits 6 --threads 1 --max-memory 1GB": (
         "nanogs.scoring.packing_cost.packing_cost",

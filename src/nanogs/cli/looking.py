@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from nanogs.cli import options, parsing
 from nanogs.errors import OptionError
@@ -148,13 +148,17 @@ class RenderOptions:
         Raises:
             NanogsError: As for `nanogs.mode_evidence`.
         """
-        from nanogs.scoring.modes import render_findings
+        from nanogs.scoring.modes import ModelViews, render_findings
+        from nanogs.scoring.view_sets import Photographs
 
         behind = None if self.background is None else parsing.parse_background(self.background)
-        given: dict[str, Any] = {"photos": self.photos, "images": self.images}
-        given["split"] = "test" if self.split is None else self.split
+        seen: ModelViews | Photographs
+        if self.photos is not None:
+            seen = Photographs(self.photos, self.images, self.split or "test")
+        else:
+            pixels = parsing.parse_pixels(str(PIXELS) if self.pixels is None else self.pixels)
+            seen = ModelViews(self.cameras or "auto", self.views or VIEWS, pixels, self.up)
         return render_findings(
-            model, self.cameras or "auto", **given, background=behind, views=self.views or VIEWS,
-            pixels=parsing.parse_pixels(str(PIXELS) if self.pixels is None else self.pixels),
-            up=self.up, threads=self.threads, max_memory=self.max_memory, progress=progress,
+            model, seen, background=behind, threads=self.threads, max_memory=self.max_memory,
+            progress=progress,
         )  # fmt: skip

@@ -17,6 +17,7 @@ from nanogs.quantities import as_bytes
 from nanogs.ranges import one_or_several
 from nanogs.scoring.packing import packing_of
 from nanogs.scoring.view_sets import (
+    Photographs,
     Pixels,
     compared_views,
     refuse_beside_photos,
@@ -112,7 +113,7 @@ def compare(
         ]
         # Imported here because these import Numba.
         from nanogs.card.device import device_notes, use_device
-        from nanogs.scoring.measure import Measurement, Photographs, measure, measuring_stages
+        from nanogs.scoring.measure import Measurement, measure, measuring_stages
         from nanogs.threads import use_threads
 
         seen = requested if photos is None else Photographs(Path(photos), images, split)

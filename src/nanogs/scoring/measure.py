@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 from nanogs.io.frames import other_frames
@@ -30,17 +29,9 @@ from nanogs.scoring.packing import PackingFormats
 from nanogs.scoring.photo_views import PhotoViews
 from nanogs.scoring.photos import held_bytes, photographs, photographs_remedy
 from nanogs.scoring.scores import check_metrics
-from nanogs.scoring.view_sets import ComparedViews
+from nanogs.scoring.view_sets import ComparedViews, Photographs
 from nanogs.source import Source
 from nanogs.splats import Splats
-
-
-class Photographs(NamedTuple):
-    """The requested photographs; see `scoring.photos.photographs`."""
-
-    folder: Path
-    images: str | None
-    split: str
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -10,17 +10,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nanogs.bar import show_progress
 from nanogs.costs import DrawCost
 from nanogs.formatting import number_text
 from nanogs.io.models import Model, opened
 from nanogs.progress import PartProgress, Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, VIEWS, Protocol, plain_background
+from nanogs.protocol import BLACK, PIXELS, VIEWS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.raster.camera import camera_notes
-from nanogs.scoring.view_sets import refuse_beside_photos, refuse_beside_views
+from nanogs.scoring.view_sets import Photographs, refuse_beside_photos, refuse_beside_views
 from nanogs.source import Source, Tagged, source_of
 from nanogs.splats import RenderMode, Splats
 from nanogs.views.cameras import Cameras, chosen_cameras, known_cameras, picture_size
@@ -142,11 +142,32 @@ def mode_evidence(
         NotEnoughMemoryError: It takes more memory than is free or allowed, even row by row.
         OptionError: An argument is out of range.
     """
+    refuse_beside_views(photos, images, split)
+    seen: ModelViews | Photographs = ModelViews(cameras, views, pixels, up)
+    if photos is not None:
+        usual = views == VIEWS and picture_size(pixels) == (PIXELS, PIXELS)
+        refuse_beside_photos(photos, views=not usual or cameras != "auto" or up is not None)
+        seen = Photographs(Path(photos), images, split)
     return render_findings(
-        model, cameras, photos=photos, images=images, split=split, background=background,
-        views=views, pixels=pixels, up=up, threads=threads, max_memory=max_memory,
+        model, seen, background=background, threads=threads, max_memory=max_memory,
         progress=progress, costs=False,
     ).modes  # fmt: skip
+
+
+class ModelViews(NamedTuple):
+    """Views of a model that are asked for, as `nanogs.render` takes them.
+
+    Attributes:
+        cameras: Cameras, or how to choose them.
+        views: Number of automatic views.
+        pixels: Size of automatic views: one number for width and height, or both.
+        up: (3,) up direction of automatic views; None to find it from the model.
+    """
+
+    cameras: Cameras = "auto"
+    views: int = VIEWS
+    pixels: int | tuple[int, int] = PIXELS
+    up: Sequence[float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,17 +185,31 @@ class RenderFindings:
     notes: tuple[str, ...]
 
 
+class _Seen(NamedTuple):
+    """A model, and the views that it is rendered on.
+
+    Attributes:
+        model: The model; a source if it is read some rows at a time.
+        budget: Bytes for the splats of images; None if the model is in memory.
+        cameras: The views.
+        protocol: Their kind, number, size and split, and the background.
+        photographs: A view for each of the photographs, decoded on access; or none.
+        notes: Remarks that matter for reading the numbers.
+    """
+
+    model: Splats | Source
+    budget: int | None
+    cameras: "Sequence[Camera]"
+    protocol: Protocol
+    photographs: "Sequence[ReferenceView]"
+    notes: tuple[str, ...]
+
+
 def render_findings(
     model: Model,
-    cameras: Cameras = "auto",
+    seen: ModelViews | Photographs = ModelViews(),  # noqa: B008 - immutable
     *,
-    photos: str | PathLike[str] | None = None,
-    images: str | None = None,
-    split: str = "test",
     background: Iterable[float] | None = None,
-    views: int = VIEWS,
-    pixels: int | tuple[int, int] = PIXELS,
-    up: Sequence[float] | None = None,
     threads: int | None = None,
     max_memory: int | str | None = None,
     progress: Progress | bool | None = None,
@@ -182,51 +217,90 @@ def render_findings(
 ) -> RenderFindings:
     """Render a model in both modes and, with `costs`, measure its draw cost.
 
-    The other arguments are those of `mode_evidence`.
+    Args:
+        model: The model, or a path.
+        seen: The views, or photographs to compare with.
+        background: As for `mode_evidence`.
+        threads: As for `mode_evidence`.
+        max_memory: As for `mode_evidence`.
+        progress: As for `mode_evidence`.
+        costs: Whether to measure the draw cost.
+
+    Raises:
+        NanogsError: As for `mode_evidence`.
     """
-    refuse_beside_views(photos, images, split)
-    if photos is not None:
-        usual = views == VIEWS and picture_size(pixels) == (PIXELS, PIXELS)
-        refuse_beside_photos(photos, views=not usual or cameras != "auto" or up is not None)
     limit = None if max_memory is None else as_bytes(max_memory)
-    background = None if background is None else plain_background(background)
-    wanted = known_cameras(cameras, up, views, pixels) if photos is None else []
+    behind = None if background is None else plain_background(background)
+    wanted: str | list[Camera] = "auto"
+    if isinstance(seen, ModelViews):
+        wanted = known_cameras(seen.cameras, seen.up, seen.views, seen.pixels)
     stages = [Stage("cameras", 1.0), Stage("render", 6.0)]
     stages += [Stage("cover", 2.0)] if costs else []
     with opened(model) as source, show_progress(progress) as on_step:
         # Imported here because these import Numba.
-        from nanogs.scoring.photos import held_bytes, photographs, photographs_remedy
         from nanogs.threads import use_threads
         from nanogs.views.covering import cost_on
 
         tracker = Tracker(on_step, stages)
         tracker.begin("cameras")
         with use_threads(threads):
-            behind, held, remedy = background or BLACK, 0, rendering_remedy(wanted)
-            frames: Sequence[ReferenceView] = ()
-            notes: tuple[str, ...] = ()
-            if photos is not None:
-                frames = found = photographs(Path(photos), images, split, background)
-                wanted, behind, notes = list(found.cameras), found.background, found.notes
-                held, remedy = held_bytes(found), photographs_remedy(found)
-            size = pictures_of(wanted, views, pixels)
-            budget = budget_for_pictures(source, *size, limit, photographs=held, remedy=remedy)
-            some = source_of(source).load() if budget is None else source
-            chosen, kind = chosen_cameras(some, wanted, views, pixels, up)
-            if frames:
-                kind = "photographs"
-            else:  # photographs have notes of their own
-                notes = tuple(camera_notes(chosen))
+            if isinstance(seen, Photographs):
+                found = _with_photographs(source, seen, behind, limit)
+            else:
+                found = _with_views(source, seen, wanted, behind or BLACK, limit)
+            some, budget, cameras, protocol, photographs, notes = found
             tracker.begin("render")
-            protocol = protocol_of(chosen, kind, split if frames else "test", behind)
-            truth = [view.image for view in frames]  # decoded here
-            modes = evidence_on(some, chosen, protocol, truth, budget, tracker.part)
+            truth = [view.image for view in photographs]  # decoded here
+            modes = evidence_on(some, cameras, protocol, truth, budget, tracker.part)
             cost = None
             if costs:
                 tracker.begin("cover")
-                cost = cost_on(some, chosen, protocol, tracker.part)
+                cost = cost_on(some, cameras, protocol, tracker.part)
         tracker.finish()
     return RenderFindings(modes, cost, notes)
+
+
+def _with_views(
+    source: Splats | Source,
+    asked: ModelViews,
+    wanted: "str | list[Camera]",
+    background: Background,
+    limit: int | None,
+) -> _Seen:
+    """Find the views of a model, and load it if it fits into memory.
+
+    Args:
+        source: The model.
+        asked: The views.
+        wanted: Their cameras, from `known_cameras`.
+        background: RGB in [0, 1].
+        limit: Bytes that this process may take, or None.
+    """
+    _, views, pixels, up = asked
+    size, remedy = pictures_of(wanted, views, pixels), rendering_remedy(wanted)
+    budget = budget_for_pictures(source, *size, limit, remedy=remedy)
+    some = source_of(source).load() if budget is None else source
+    cameras, kind = chosen_cameras(some, wanted, views, pixels, up)
+    protocol = protocol_of(cameras, kind, background=background)
+    return _Seen(some, budget, cameras, protocol, (), tuple(camera_notes(cameras)))
+
+
+def _with_photographs(
+    source: Splats | Source, asked: Photographs, background: Background | None, limit: int | None
+) -> _Seen:
+    """Open the photographs that a model is compared with, and load it if it fits into memory.
+
+    Photographs have notes of their own.
+    """
+    from nanogs.scoring.photos import held_bytes, photographs, photographs_remedy
+
+    found = photographs(*asked, background)
+    cameras, held, remedy = list(found.cameras), held_bytes(found), photographs_remedy(found)
+    size = max(camera.width * camera.height for camera in cameras), len(cameras)
+    budget = budget_for_pictures(source, *size, limit, photographs=held, remedy=remedy)
+    some = source_of(source).load() if budget is None else source
+    protocol = protocol_of(cameras, "photographs", asked.split, found.background)
+    return _Seen(some, budget, cameras, protocol, found, found.notes)
 
 
 def evidence_on(

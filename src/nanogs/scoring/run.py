@@ -15,14 +15,13 @@ from nanogs.protocol import PIXELS, Background, Judged
 from nanogs.scoring.comparison import Comparison, NamedModel
 from nanogs.scoring.measure import (
     Measurement,
-    Photographs,
     ScoredModels,
     measure,
     measuring_stages,
 )
 from nanogs.scoring.packing import packing_of
 from nanogs.scoring.page import render_page
-from nanogs.scoring.view_sets import ComparedViews, Size, views_from
+from nanogs.scoring.view_sets import ComparedViews, Photographs, Size, views_from
 from nanogs.source import source_of
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built

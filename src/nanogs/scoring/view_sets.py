@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike, fspath
-from typing import TypeAlias
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
 
 from nanogs.errors import OptionError, did_you_mean
 from nanogs.formatting import counted
@@ -42,6 +43,20 @@ class ViewSet:
     cameras: Sequence[Camera]
     kind: Kind
     notes: tuple[str, ...] = ()
+
+
+class Photographs(NamedTuple):
+    """Photographs that models are compared with; see `scoring.photos.photographs`.
+
+    Attributes:
+        folder: Folder of the data set.
+        images: Folder of the photographs in a COLMAP data set, or None.
+        split: "test" or "train".
+    """
+
+    folder: Path
+    images: str | None = None
+    split: str = "test"
 
 
 @dataclass(frozen=True, slots=True)
