@@ -1,11 +1,10 @@
 """`nanogs.compare_mixed`: score streamed models as viewers draw them, far chunks coarser."""
 
 from collections.abc import Iterable, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -20,17 +19,17 @@ from nanogs.io.urls import as_path
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import model_bytes, models_bytes, scoring_bytes
 from nanogs.progress import Progress, Stage, Tracker
-from nanogs.protocol import BLACK, PIXELS, Protocol, plain_background
+from nanogs.protocol import BLACK, PIXELS, Background, Protocol, plain_background
 from nanogs.quantities import as_bytes
 from nanogs.ranges import is_number, value_text
 from nanogs.raster.camera import camera_notes
 from nanogs.scoring.api import checked_names, names_of
-from nanogs.scoring.view_sets import ComparedViews, Pixels, compared_views
+from nanogs.scoring.view_sets import ComparedViews, Pixels, ViewSet, compared_views
 from nanogs.splats import Splats
 from nanogs.views.cameras import Cameras
 
 if TYPE_CHECKING:
-    from nanogs.scoring.mixed_views import MixedView
+    from nanogs.scoring.mixed_views import MixedView, StreamLevels
 
 SEAM_LOSS = 0.3  # dB; a higher loss at seams gets a note
 
@@ -145,47 +144,69 @@ def compare_mixed(
     limit = None if max_memory is None else as_bytes(max_memory)
     _refuse_too_large(original, paths, requested, limit)
     # Imported here because these import Numba.
-    from nanogs.raster.rendering import prepare
     from nanogs.scoring.mixed_views import read_levels
-    from nanogs.scoring.scores import reference_views
     from nanogs.threads import use_threads
-    from nanogs.views.costing import protocol_of
 
     scores, notes = list[MixedScore](), list[str]()
-    with ExitStack() as stack:
-        stack.enter_context(use_threads(threads))
-        tracker = Tracker(
-            stack.enter_context(show_progress(progress)),
-            _stages(len(paths), requested.sets_count),
-        )
+    with use_threads(threads), show_progress(progress) as on_step:
+        tracker = Tracker(on_step, _stages(len(paths), requested.sets_count))
         tracker.begin("read")
         whole = as_splats(original)
         if not isinstance(original, Splats):  # a model in memory has been read before
             notes += [f"{called[0]}: {note}" for note in whole.notes]
-        stream_levels = [read_levels(path) for path in paths]
+        drawn = _Drawn(called[1:], [read_levels(path) for path in paths], background, budget)
         for found in requested.sets(whole):
-            tracker.begin("render")
-            ready = prepare(whole)
-            seen, empty = reference_views(
-                ready, found.cameras, background, tracker.part, depth=False
-            )
-            del ready
-            notes += [*found.notes, *camera_notes(found.cameras)]
-            notes += notes_on_views(empty, "nothing of the original is visible; left out")
-            cameras = [view.camera for view in seen]
-            protocol = protocol_of(cameras, found.kind, background=background)
-            tracker.begin("score")
-            for done, (name, stream) in enumerate(zip(called[1:], stream_levels, strict=True)):
-                view_scores = list["MixedView"]()
-                for number, view in enumerate(seen):
-                    tracker.part(done * len(seen) + number, len(paths) * len(seen))
-                    view_scores.append(stream.score(view, background, budget))
-                levels = tuple(np.diff(stream.ends).tolist())
-                apart = stream.chunks.environment
-                scores.append(_means(name, levels, apart, budget, protocol, view_scores))
-                notes += _notes(scores[-1], len(stream.chunks.boxes))
+            made, own = _score_on(found, whole, drawn, tracker)
+            scores += made
+            notes += own
         tracker.finish()
     return MixedComparison(called[0], len(whole), tuple(scores), tuple(dict.fromkeys(notes)))
+
+
+class _Drawn(NamedTuple):
+    """The streams, and how they are drawn.
+
+    Attributes:
+        names: Their names.
+        levels: Their levels.
+        background: RGB in [0, 1].
+        budget: Splats that a viewer draws at once; None to choose levels by distance alone.
+    """
+
+    names: Sequence[str]
+    levels: "Sequence[StreamLevels]"
+    background: Background
+    budget: int | None
+
+
+def _score_on(
+    found: ViewSet, whole: Splats, drawn: _Drawn, progress: Tracker
+) -> tuple[list[MixedScore], list[str]]:
+    """Score the streams on one set of views; return the scores, and notes on views and streams."""
+    from nanogs.raster.rendering import prepare
+    from nanogs.scoring.scores import reference_views
+    from nanogs.views.costing import protocol_of
+
+    progress.begin("render")
+    seen, empty = reference_views(
+        prepare(whole), found.cameras, drawn.background, progress.part, depth=False
+    )
+    notes = [*found.notes, *camera_notes(found.cameras)]
+    notes += notes_on_views(empty, "nothing of the original is visible; left out")
+    cameras = [view.camera for view in seen]
+    protocol = protocol_of(cameras, found.kind, background=drawn.background)
+    progress.begin("score")
+    scores: list[MixedScore] = []
+    for done, (name, stream) in enumerate(zip(drawn.names, drawn.levels, strict=True)):
+        views: list[MixedView] = []
+        for number, view in enumerate(seen):
+            progress.part(done * len(seen) + number, len(drawn.names) * len(seen))
+            views.append(stream.score(view, drawn.background, drawn.budget))
+        levels = tuple(np.diff(stream.ends).tolist())
+        apart = stream.chunks.environment
+        scores.append(_means(name, levels, apart, drawn.budget, protocol, views))
+        notes += _notes(scores[-1], len(stream.chunks.boxes))
+    return scores, notes
 
 
 def _names(original: Model, paths: Sequence[Path], names: Sequence[str] | None) -> list[str]:
