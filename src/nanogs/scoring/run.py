@@ -22,7 +22,7 @@ from nanogs.scoring.measure import (
 from nanogs.scoring.packing import packing_of
 from nanogs.scoring.page import render_page
 from nanogs.scoring.view_sets import ComparedViews, Photographs, Size, views_from
-from nanogs.source import source_of
+from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 from nanogs.view.bundle import check_built
 from nanogs.view.pack import pack
@@ -108,28 +108,30 @@ def compare_files(
             (name, stack.enter_context(open_model(path, render_mode=render_mode)))
             for name, path in (reference, *tests)
         ]
-        stages = measuring_stages([source for _name, source in given], how)
-        if how.shown:
-            stages += [Stage("encode", 3.0 * len(given))]
-        if report:
-            stages += [Stage("write", 1.0)]
-        tracker = Tracker(progress, stages)
+        tracker = Tracker(progress, _stages([source for _name, source in given], how))
         found = measure(given, how, stack, tracker)
+    comparison, viewer = found.comparison, None
+    if how.shown:
+        tracker.begin("encode")
+        viewer, notes = _viewer(found, _first_view(seen, found), up)
+        comparison = replace(comparison, notes=(*comparison.notes, *notes))
     if report:
-        viewer = None
-        if how.shown:
-            tracker.begin("encode")
-            viewer, notes = _viewer(found, _first_view(seen, found), up)
-            comparison = found.comparison
-            found = found._replace(
-                comparison=replace(comparison, notes=(*comparison.notes, *notes))
-            )
         tracker.begin("write")
-        text = render_page(found.comparison, found.sheets, f"{reference[0]}: comparison", viewer)
+        text = render_page(comparison, found.sheets, f"{reference[0]}: comparison", viewer)
         with atomic_write(report, overwrite=overwrite) as file:
             file.write(utf8(text))
     tracker.finish()
-    return found.comparison
+    return comparison
+
+
+def _stages(sources: Sequence[Source], how: Measurement) -> list[Stage]:
+    """List the stages: those of measuring, then those of the page if there is one."""
+    stages = measuring_stages(sources, how)
+    if how.shown:
+        stages += [Stage("encode", 3.0 * len(sources))]
+    if how.pictures:
+        stages += [Stage("write", 1.0)]
+    return stages
 
 
 def _first_view(seen: ComparedViews | Photographs, found: ScoredModels) -> "Kind | Camera":
