@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nanogs.clock import StageClock
 from nanogs.defaults import PAGE_SPLATS
@@ -13,6 +13,7 @@ from nanogs.io import open as open_model
 from nanogs.io.atomic import atomic_write
 from nanogs.io.collect import model_in
 from nanogs.io.frames import other_frames
+from nanogs.io.parts import FileSource
 from nanogs.io.registry import refuse_level, stem_of
 from nanogs.memory import allowed_memory, refuse_too_large
 from nanogs.memory_estimates import compare_bytes, page_bytes
@@ -125,19 +126,13 @@ def view_files(
     clock = StageClock()
     measured = psnr and len(inputs) > 1
     wanted = known_cameras(cameras)
-    largest, count = pictures_of(wanted, views, (width, height))
-    tracker = Tracker(progress, _stages(len(inputs), count if measured else 0))
+    pictures = pictures_of(wanted, views, (width, height))
+    tracker = Tracker(progress, _stages(len(inputs), pictures[1] if measured else 0))
     tracker.begin("read")
     with clock.time("read"):
-        inputs = [(name, model_in(path)) for name, path in inputs]
-        files = [(name, open_model(path)) for name, path in inputs]
-        levels = [file.levels for _name, file in files]
-        infos = [
-            inspect(path, level=_number(counts, level))
-            for (_name, path), counts in zip(inputs, levels, strict=True)
-        ]
-        _refuse_too_large(infos, (largest, count) if measured else None, max_memory)
-        models = _read(inputs, levels, level, render_mode, tracker.part)
+        files = [_open(name, path, level) for name, path in inputs]
+        _refuse_too_large([file.info for file in files], pictures if measured else None, max_memory)
+        models = _read(files, level, render_mode, tracker.part)
     tracker.begin("cameras")
     with clock.time("cameras"):
         found: list[Camera] = []
@@ -146,31 +141,63 @@ def view_files(
             found, kind = chosen_cameras(models[0], wanted, views, (width, height), up)
         first_view = KINDS.get(wanted, "auto") if isinstance(wanted, str) else wanted[0]
         start = opening_for(models[0], first_view, up)
-    texts = [_level_text(counts, level) for counts in levels]
-    judged, notes = None, other_frames(files)
+    judged, notes = None, other_frames([(file.name, file.source) for file in files])
     if measured:
         with clock.time("measure"):
-            comparison = _compare(inputs, models, found, kind, background, tracker)
+            comparison = _compare(files, models, found, kind, background, tracker)
         judged = comparison.judged(0)
-        notes += (*_against(inputs[0][0], texts[0]), *comparison.notes)
+        notes += (*_against(files[0]), *comparison.notes)
     tracker.begin("encode")
     with clock.time("pack"):
         packed = [pack(splats, start) for splats in each(models, tracker.part)]
     tracker.begin("write")
     with clock.time("write"):
-        shown = _shown(infos, inputs, models, packed, judged, texts)
-        text = render_page(shown, start, background)
+        text = render_page(_shown(files, models, packed, judged), start, background)
         with atomic_write(page, overwrite=overwrite) as file:
             file.write(utf8(text))
     tracker.finish()
     return ViewReport(
         output=str(page),
         output_bytes=page.stat().st_size,
-        models=tuple(map(_viewed, infos, inputs, models, packed)),
+        models=tuple(map(_viewed, files, models, packed)),
         judged=judged,
         notes=notes,
         seconds=dict(clock.seconds),
     )
+
+
+class _File(NamedTuple):
+    """A file of a page's model.
+
+    Attributes:
+        name: Name of the model.
+        path: The file.
+        source: The file, opened.
+        levels: Splats of each of its levels; empty without levels.
+        level: The level that is shown; 0 without levels.
+        info: Of that level.
+    """
+
+    name: str
+    path: Path
+    source: FileSource
+    levels: Sequence[int]
+    level: int
+    info: FileInfo
+
+    @property
+    def level_text(self) -> str:
+        """Name of the level; empty for the finest, and for a model without levels."""
+        return f"level {self.level} (0 to {len(self.levels) - 1})" if self.level else ""
+
+
+def _open(name: str, path: Path, level: int | None) -> _File:
+    """Open a model's file, at a level, or at the finest that a page shows if that is None."""
+    path = model_in(path)
+    source = open_model(path)
+    levels = source.levels
+    number = _number(levels, level)
+    return _File(name, path, source, levels, number, inspect(path, level=number))
 
 
 def _refuse_too_large(
@@ -196,22 +223,15 @@ def _refuse_too_large(
 
 
 def _read(
-    inputs: Sequence[tuple[str, Path]],
-    counts: Sequence[Sequence[int]],
-    level: int | None,
-    mode: str | None,
-    on_progress: PartProgress,
+    files: Sequence[_File], level: int | None, mode: str | None, on_progress: PartProgress
 ) -> list[Splats]:
-    """Load the models, of which `counts` has the splats of each level.
-
-    If `level` is None, a note names the level of a streamed model.
-    """
-    if level is not None and not any(counts):
-        refuse_level(inputs[0][1], level)
+    """Load the models; if no `level` is asked for, a note names that of a streamed model."""
+    if level is not None and not any(file.levels for file in files):
+        refuse_level(files[0].path, level)
     models = []
-    for (_name, path), levels in each(zip(inputs, counts, strict=True), on_progress):
-        shown = load(path, level=_number(levels, level), render_mode=mode)
-        models.append(_with_note(shown, levels) if levels and level is None else shown)
+    for file in each(files, on_progress):
+        shown = load(file.path, level=file.level, render_mode=mode)
+        models.append(_with_note(shown, file) if level is None else shown)
     return models
 
 
@@ -228,25 +248,20 @@ def _affordable(levels: Sequence[int]) -> int:
     return next(fitting, len(levels) - 1)
 
 
-def _level_text(levels: Sequence[int], level: int | None) -> str:
-    """Name the level that is shown; empty for the finest, and for a model without levels."""
-    number = _number(levels, level)
-    return f"level {number} (0 to {len(levels) - 1})" if number else ""
-
-
-def _against(name: str, coarse: str) -> tuple[str, ...]:
+def _against(first: _File) -> tuple[str, ...]:
     """Return a note if the scores are against a coarse level of the first model."""
+    coarse, name = first.level_text, first.name
     note = f"The PSNR is against {coarse} of {name}; nanogs compare measures against the finest."
     return (note,) if coarse else ()
 
 
-def _with_note(splats: Splats, levels: Sequence[int]) -> Splats:
-    shown = _level_text(levels, None)
-    if not shown:
+def _with_note(splats: Splats, file: _File) -> Splats:
+    """Return the model with a note if another level than the finest is shown."""
+    if not file.level_text:
         return splats
     note = (
-        f"{shown} is shown, {counted(len(splats), 'splat')};"
-        f" `level=0` shows the finest, {levels[0]:,}."
+        f"{file.level_text} is shown, {counted(len(splats), 'splat')};"
+        f" `level=0` shows the finest, {file.levels[0]:,}."
     )
     return replace(splats, notes=(*splats.notes, note))
 
@@ -266,7 +281,7 @@ def page_path(paths: Sequence[Path]) -> Path:
 
 
 def _compare(
-    inputs: Sequence[tuple[str, Path]],
+    files: Sequence[_File],
     models: Sequence[Splats],
     cameras: Sequence[Camera],
     kind: Kind,
@@ -276,7 +291,7 @@ def _compare(
     from nanogs.scoring.comparison import NamedModel, compare_models
 
     reference, other = (
-        NamedModel(name, splats) for (name, _path), splats in zip(inputs, models, strict=True)
+        NamedModel(file.name, splats) for file, splats in zip(files, models, strict=True)
     )
     comparison, _ = compare_models(
         reference,
@@ -290,32 +305,28 @@ def _compare(
 
 
 def _shown(
-    infos: Sequence[FileInfo],
-    inputs: Sequence[tuple[str, Path]],
+    files: Sequence[_File],
     models: Sequence[Splats],
     packed: Sequence[Packed],
     judged: Judged | None,
-    levels: Sequence[str],
 ) -> list[Shown]:
+    """Return the models for the page, with the scores of the second."""
     shown = []
-    together = zip(infos, inputs, models, packed, levels, strict=True)
-    for place, (info, (name, _path), splats, data, coarse) in enumerate(together):
+    for place, (file, splats, data) in enumerate(zip(files, models, packed, strict=True)):
         reference, score = (len(models[0]), judged) if place else (None, None)
-        facts = facts_of(len(splats), info.file_bytes, reference=reference, judged=score)
-        if score is not None and levels[0]:
-            facts += (f"against {levels[0]}",)
-        shown.append(Shown(name, (*facts, coarse) if coarse else facts, data))
+        facts = facts_of(len(splats), file.info.file_bytes, reference=reference, judged=score)
+        if score is not None and files[0].level_text:
+            facts += (f"against {files[0].level_text}",)
+        coarse = file.level_text
+        shown.append(Shown(file.name, (*facts, coarse) if coarse else facts, data))
     return shown
 
 
-def _viewed(
-    info: FileInfo, source: tuple[str, Path], splats: Splats, packed: Packed
-) -> ViewedModel:
-    name, path = source
+def _viewed(file: _File, splats: Splats, packed: Packed) -> ViewedModel:
     return ViewedModel(
-        name=name,
-        input=str(path),
-        input_bytes=info.file_bytes,
+        name=file.name,
+        input=str(file.path),
+        input_bytes=file.info.file_bytes,
         splats=len(splats),
         sh_degree=splats.sh_degree,
         page_bytes=len(packed.data),
