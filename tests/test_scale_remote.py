@@ -38,7 +38,8 @@ from nanogs.pipeline.job.folder import refuse_finished
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.run import InProcess, run_tasks
+from nanogs.pipeline.run import InProcess, Run, run_tasks
+from nanogs.pipeline.work import Work
 from nanogs.progress import Tracker
 from nanogs.source import Layout
 from nanogs.store.scratch import FolderScratch, open_scratch
@@ -306,8 +307,8 @@ def test_a_worker_reports_files_that_it_cannot_read(tmp_path):
         do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, "0.0.1")
     scratch = FolderScratch(tmp_path / "scratch")
     scratch.prepare()
-    run_tasks(scratch, settings, InProcess(), 1, StageClock(), Tracker(None, []),
-              resumed=False)  # fmt: skip
+    run = Run(InProcess(), StageClock(), resumed=False)
+    run_tasks(Work(scratch, settings, 1), run, Tracker(None, []))
     source.unlink()
     with pytest.raises(FormatError, match=r"in\.ply was not found; the caller and all workers"):
         do_task(str(tmp_path / "scratch"), settings, Task("segment"), 1, __version__)

@@ -31,9 +31,10 @@ from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.options.presets import PRESETS
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.run import InProcess, run_tasks
+from nanogs.pipeline.run import InProcess, Run, run_tasks
 from nanogs.pipeline.stages import do
 from nanogs.pipeline.tasks.units import find_units
+from nanogs.pipeline.work import Work
 from nanogs.progress import Tracker
 from nanogs.source import Layout
 from nanogs.store.scratch import FolderScratch
@@ -415,7 +416,8 @@ def in_blocks(splats, folder, ratio, rounds):
     settings, _ = plan_job(request)
     scratch, clock = FolderScratch(folder / "scratch"), StageClock()
     scratch.prepare()
-    results = run_tasks(scratch, settings, InProcess(), 1, clock, Tracker(None, []), resumed=False)
+    run = Run(InProcess(), clock, resumed=False)
+    results = run_tasks(Work(scratch, settings, 1), run, Tracker(None, []))
     partition = results.work.partition
     sizes = [partition.count(block) for block in range(partition.blocks)]
     order = np.argsort(find_units(settings).codes(splats), kind="stable")

@@ -7,14 +7,12 @@ from typing import Any, Protocol
 
 from nanogs.clock import StageClock
 from nanogs.pipeline.one_block import OneBlock
-from nanogs.pipeline.options.settings import Settings
 from nanogs.pipeline.outcome import Outcome, outcome_of
 from nanogs.pipeline.scene import Scene, Task
 from nanogs.pipeline.stages import JobStage, do, held_stages, stages_of
 from nanogs.pipeline.work import BEGUN, Work
 from nanogs.progress import Tracker, ignore_progress
 from nanogs.source import Source
-from nanogs.store.scratch import Scratch
 from nanogs.store.tables import verified, write_table
 
 
@@ -108,38 +106,23 @@ FindResult = Callable[[Work, Run, Tracker], Done]
 """Makes results of a job, from stages that are run only once, until one meets the target."""
 
 
-def run_tasks(
-    scratch: Scratch,
-    settings: Settings,
-    runner: Runner,
-    threads: int,
-    clock: StageClock,
-    progress: Tracker,
-    *,
-    resumed: bool,
-    search: FindResult | None = None,
-) -> Done:
+def run_tasks(work: Work, run: Run, progress: Tracker, search: FindResult | None = None) -> Done:
     """Do every task of a job that is not done yet.
 
     Args:
-        scratch: Its files; prepared.
-        settings: Of the job.
-        runner: Does the tasks.
-        threads: Threads of this process.
-        clock: Gets the seconds of each stage.
+        work: The job, whose scratch is prepared.
+        run: Does the tasks.
         progress: Notified of each stage.
-        resumed: Whether an earlier run has begun the job; see `Run`.
         search: Finds the result, if its count is not known beforehand.
 
     Raises:
         NanogsError: A task could not be done.
     """
-    write_table(scratch, BEGUN.name, {}, {})
-    work, run = Work(scratch, settings, threads), Run(runner, clock, resumed)
-    run.do(work, stages_of(settings), progress)
+    write_table(work.scratch, BEGUN.name, {}, {})
+    run.do(work, stages_of(work.settings), progress)
     if search is not None:
         return search(work, run, progress)
-    return Done(work, run.kept, range(settings.levels))
+    return Done(work, run.kept, range(work.settings.levels))
 
 
 def tasks_of(scene: Scene, stage: JobStage, level: int) -> list[Task]:

@@ -35,7 +35,8 @@ from nanogs.pipeline.job.folder import (
 from nanogs.pipeline.job.result_writer import ResultWriter
 from nanogs.pipeline.job.workers import workers_of
 from nanogs.pipeline.options.settings import Settings, differences, in_words
-from nanogs.pipeline.run import Done, FindResult, InProcess, Runner, run_tasks
+from nanogs.pipeline.run import Done, FindResult, InProcess, Run, Runner, run_tasks
+from nanogs.pipeline.work import Work
 from nanogs.progress import WAITING, Progress, Tracker
 from nanogs.sink import Written
 from nanogs.store.scratch import Scratch, open_scratch
@@ -132,11 +133,9 @@ class BlockJob:
                     scratch.tidy()
                 else:
                     self._begin(scratch)
+                work, run = Work(scratch, self.settings, threads), Run(runner, clock, resumed)
                 try:
-                    done = run_tasks(
-                        scratch, self.settings, runner, threads, clock, progress, resumed=resumed,
-                        search=self.search,
-                    )  # fmt: skip
+                    done = run_tasks(work, run, progress, self.search)
                     progress.begin("write")
                     with clock.time("write"):
                         written = self.writer.finish(done, self.folder, progress)
