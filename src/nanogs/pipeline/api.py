@@ -134,7 +134,6 @@ def simplify(
     frame = checked_frames(frame)
     # Imported here because this imports Numba, which `--help` and `info` do without.
     from nanogs.pipeline.estimates.durations import simplify_stages
-    from nanogs.pipeline.rounded import rounded_for_file
     from nanogs.pipeline.search.files import HeldFiles
     from nanogs.pipeline.size_ending import with_size_ending
     from nanogs.threads import use_threads
@@ -162,25 +161,34 @@ def simplify(
             outcome = _searched(checked, goal, files, threads_used, tracker)
             target = len(outcome.splats)
         else:
-            deliver = checked.deliverer(target, threads_used, clock, tracker)
-            outcome = deliver(target, clock, tracker)
-            outcome = rounded_for_file(
-                outcome, checked.parameters, path, given, frame, clock, tracker
-            )
+            outcome = _delivered(checked, target, files, threads_used, tracker)
             if size is not None:
                 achieved = registry.sizer(path)(outcome.splats, target)
                 outcome = replace(outcome, fields={"achieved_size": achieved})
         tracker.finish()
     if size is not None:
-        counts = len(outcome.splats), len(checked.rows)
+        counts, degree = (len(outcome.splats), len(checked.rows)), checked.splats.sh_degree
         outcome = with_size_ending(
-            outcome, size, known.file_bytes, counts,
-            lambda: outcome.splats, degree=checked.splats.sh_degree,
-        )  # fmt: skip
+            outcome, size, known.file_bytes, counts, lambda: outcome.splats, degree=degree
+        )
     small = turned(outcome.splats, frame)
     report = checked.report(goal, target, outcome, threads_used, clock, start)
     ignored = known.without_effect(given, small.sh_degree)
     return small, replace(report, notes=(*report.notes, *ignored, *device_notes(device, used)))
+
+
+def _delivered(
+    checked: CheckedModel, target: int, files: "HeldFiles", threads: int, progress: Tracker
+) -> Outcome:
+    """Make the result of a known count, with values that pack well in its file."""
+    from nanogs.pipeline.rounded import rounded_for_file
+
+    clock = files.clock
+    deliver = checked.deliverer(target, threads, clock, progress)
+    outcome = deliver(target, clock, progress)
+    return rounded_for_file(
+        outcome, checked.parameters, files.output, files.given, files.frame, clock, progress
+    )
 
 
 def _searched(
