@@ -4,7 +4,7 @@
 module and `environments` connect them.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -134,13 +134,7 @@ def write_levels(
         refuse_address(path, "give the source that nanogs.open returns for it")
     held = model if isinstance(model, Splats | Source) else files
     ratios = usual_levels(held, layout) if ratios is None else checked_ratios(ratios)
-    read: dict[str, Callable[[Any], Any]] = {
-        "max_memory": as_bytes,
-        "job": lambda given: local_path(path_text("job", given)),
-        "scratch": partial(path_text, "scratch"),
-    }  # fmt: skip
-    given = {k: read[k](v) if k in read and v is not None else v for k, v in options.items()}
-    overrides = {key: given.pop(key) for key in given.keys() - _OPTIONS}
+    given, overrides = _parsed(options)
     plain = as_switch("`plain`", plain)
     registry.file_of(suffix)  # raises if it is not a format
     if not isinstance(source, str | None):
@@ -151,11 +145,7 @@ def write_levels(
         level_suffix=registry.suffix_of(suffix), overwrite=overwrite, measured=measured,
         frame=frame, overrides=overrides, notes=notes, **given,
     )  # fmt: skip
-    if request.block_layout and request.level_suffix not in (PLY, request.block_layout.suffix):
-        raise OptionError(
-            f'The layout "{LodLayout(layout)}" has a format of its own; leave out `suffix`, or'
-            f' write the layout "{LodLayout.FILES}".'
-        )
+    _refuse_suffix(request, layout)
     request.refuse_unused_views()
     sink = sink_of(request, source=source, layout=layout)
     refuse_misnamed(request.output, LodLayout(layout))
@@ -165,13 +155,28 @@ def write_levels(
             return write_levels_of_files(request, sink, on_step, sky)
         if for_files := [name for name in _OF_JOBS if given.get(name)]:
             raise OptionError(f"{for_files[0]} is for files; give the model's path in its place.")
-        with use_threads(request.threads):  # limits the threads of filtering and writing too
-            whole = in_mode(as_splats(model), request.edits.render_mode, "The model")
-            known = request.written_format
-            known.check_columns(InMemory(whole).columns)
-            elements = [each.name for each in whole.elements]
-            known.check_elements(elements, request.format_options or {})
-            return _in_memory(request, changed(whole, request.edits), sink, on_step, sky)
+        return _write_held(request, model, sink, on_step, sky)
+
+
+def _parsed(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Parse the options of `write_levels`; return those of a request, and parameters to replace."""
+    parse: dict[str, Callable[[Any], Any]] = {
+        "max_memory": as_bytes,
+        "job": lambda given: local_path(path_text("job", given)),
+        "scratch": partial(path_text, "scratch"),
+    }  # fmt: skip
+    given = {k: parse[k](v) if k in parse and v is not None else v for k, v in options.items()}
+    overrides = {key: given.pop(key) for key in given.keys() - _OPTIONS}
+    return given, overrides
+
+
+def _refuse_suffix(request: Request, layout: LodLayout | str) -> None:
+    """Refuse a format of levels for a layout that has one of its own."""
+    if request.block_layout and request.level_suffix not in (PLY, request.block_layout.suffix):
+        raise OptionError(
+            f'The layout "{LodLayout(layout)}" has a format of its own; leave out `suffix`, or'
+            f' write the layout "{LodLayout.FILES}".'
+        )
 
 
 LevelsSink = LevelsFolder | LevelsTree
@@ -265,6 +270,23 @@ def write_levels_of_files(
         manifest, reports = _in_memory(request, model, sink, tracker.passing(), sky)
     tracker.finish()
     return manifest, tuple(replace(report, read_count=plan.splats) for report in reports)
+
+
+def _write_held(
+    request: Request,
+    model: Splats | Source,
+    sink: LevelsSink,
+    on_step: Progress | None,
+    sky: EnvironmentRequest,
+) -> tuple[Manifest, tuple[SimplifyReport, ...]]:
+    """Write the requested levels of a model that is given itself, not as files."""
+    with use_threads(request.threads):  # limits the threads of filtering and writing too
+        whole = in_mode(as_splats(model), request.edits.render_mode, "The model")
+        known = request.written_format
+        known.check_columns(InMemory(whole).columns)
+        elements = [each.name for each in whole.elements]
+        known.check_elements(elements, request.format_options or {})
+        return _in_memory(request, changed(whole, request.edits), sink, on_step, sky)
 
 
 def _in_blocks(
