@@ -136,7 +136,7 @@ def _element(header: Header, name: str) -> Element:
 
 
 def _kept(header: Header) -> list[Element]:
-    return [e for e in header.elements if e.properties and not e.lists()]
+    return [e for e in header.elements if e.is_table]
 
 
 def _check(header: Header) -> int:
@@ -205,15 +205,25 @@ def decoded(rows: dict[str, Array], degree: int, skipped: int) -> dict[str, Any]
 
 
 def _unit_11_10_11(packed: U32) -> F64:
+    """Unpack three numbers from 0 to 1 of 11, 10 and 11 bits, the first uppermost, (R, 3)."""
     parts = (packed >> 21) / 2047.0, (packed >> 11 & 1023) / 1023.0, (packed & 2047) / 2047.0
     return np.stack(parts, axis=1)
 
 
 def _unit_8888(packed: U32) -> F64:
+    """Unpack four numbers from 0 to 1 of 8 bits each, the first uppermost, (R, 4)."""
     return np.stack([(packed >> shift & 255) / 255.0 for shift in (24, 16, 8, 0)], axis=1)
 
 
 def _between(chunk: Array, pattern: str, axes: str, t: F64) -> F64:
+    """Interpolate between the bounds of each row's chunk.
+
+    Args:
+        chunk: (R,) the chunk of each row.
+        pattern: Name of a bound, to be formatted with "min" or "max" and an axis.
+        axes: A letter for each column.
+        t: (R, 3), 0 at the lower bound and 1 at the upper one.
+    """
     low, high = (
         np.stack([chunk[pattern.format(end, axis)].astype(np.float64) for axis in axes], axis=1)
         for end in ("min", "max")

@@ -25,8 +25,8 @@ from nanogs.source import Source, source_of
 from nanogs.splats import Splats
 
 MAX_DEGREE = 3
-_LOG_SCALES = 20.0  # log-scales are clamped to ±20: -inf would make its chunk's bounds useless
-_SH_RANGE = 4.0
+_MOST_LOG_SCALE = 20.0  # log-scales are clamped to ±20: -inf would make its chunk's bounds useless
+_SH_RANGE = 4.0  # largest magnitude of a higher SH coefficient; others are clamped
 _CELLS = 1024  # grid cells per axis in one pass of the ordering
 _ROWS = max(BLOCK_ROWS // CHUNK_ROWS, 1) * CHUNK_ROWS  # of a block of whole chunks
 _CHUNK = np.dtype([(name, "<f4") for name in (*BOUNDS, *COLOUR_BOUNDS)])
@@ -112,7 +112,7 @@ def losses(splats: Splats) -> tuple[str, ...]:
     """Return a sentence for each thing that the file leaves out or clamps."""
     found = limits.left_out(splats, ".compressed.ply", comments=False, max_degree=MAX_DEGREE)
     found += limits.rounded(splats, ".compressed.ply")
-    if count := int((np.abs(splats.log_scales) > _LOG_SCALES).any(axis=1).sum()):
+    if count := int((np.abs(splats.log_scales) > _MOST_LOG_SCALE).any(axis=1).sum()):
         found.append(
             Finding("{:splat has|splats have} a log-scale beyond ±20, which is clamped.", count)
         )
@@ -192,7 +192,7 @@ def _header(splats: Splats, count: int) -> bytes:
 def _values(splats: Splats) -> tuple[F32, F32, F32]:
     """Return the quantised values: centres, clamped log-scales and colours, (R, 3) float32 each."""
     colours = splats.sh[:, 0].astype(np.float64) * SH_C0 + 0.5
-    scales = np.clip(splats.log_scales, -_LOG_SCALES, _LOG_SCALES)
+    scales = np.clip(splats.log_scales, -_MOST_LOG_SCALE, _MOST_LOG_SCALE)
     return splats.means.astype(np.float32), scales, colours.astype(np.float32)
 
 

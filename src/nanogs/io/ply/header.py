@@ -52,6 +52,11 @@ class Element:
         """Return the names of the list properties."""
         return [prop.name for prop in self.properties if prop.code is None]
 
+    @property
+    def is_table(self) -> bool:
+        """Whether it has properties, and no lists: only such rows can be kept as an array."""
+        return bool(self.properties) and not self.lists()
+
     def dtype(self, order: str = "=") -> np.dtype[np.void]:
         """Return the packed row as a structured dtype of the byte order `<`, `>` or `=`."""
         return _row(order, tuple(self.properties))
@@ -64,7 +69,18 @@ def _row(order: str, properties: tuple[Property, ...]) -> np.dtype[np.void]:
 
 @dataclass(slots=True)
 class Header:
-    """A parsed header; `size` is the offset of the body in bytes."""
+    """A parsed header.
+
+    Attributes:
+        path: The file.
+        file_bytes: Its size.
+        encoding: One of `ENCODINGS`; empty until the line "format" is parsed.
+        elements: In the order of the file.
+        comments: Lines without their keyword.
+        obj_info: Lines of that keyword, which some tools write in place of comments.
+        size: Offset of the body, bytes.
+        separator: Between the values of a row of text; None for white space.
+    """
 
     path: Path
     file_bytes: int
@@ -73,7 +89,7 @@ class Header:
     comments: list[str] = field(default_factory=list)
     obj_info: list[str] = field(default_factory=list)
     size: int = 0
-    separator: bytes | None = None  # of the values of a text row; None for white space
+    separator: bytes | None = None
     # Names of elements, and with them of their properties: a search for each line would be slow.
     _names: set[tuple[str, ...]] = field(default_factory=set, repr=False)
 
@@ -113,7 +129,7 @@ def header_notes(header: Header) -> list[str]:
         one, more = "obj_info line was kept as a comment", "obj_info lines were kept as comments"
         notes.append(f"{counted(len(header.obj_info), one, more)}.")
     for element in header.elements:
-        if element.count == 0 and (element.lists() or not element.properties):
+        if element.count == 0 and not element.is_table:
             notes.append(f"The empty element {printable(element.name)!r} was left out.")
     return notes
 

@@ -52,7 +52,7 @@ class _Ply(FileSource):
         self._kept = [
             element
             for element in header.elements
-            if element is not vertex.element and element.properties and not element.lists()
+            if element is not vertex.element and element.is_table
         ]
         self.elements = tuple((element.name, element.count) for element in self._kept)
         self.info = FileInfo(

@@ -22,11 +22,18 @@ _AGAIN = "export or download it again."
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Consecutive rows of one element, with the file's own byte order."""
+    """Consecutive rows of one element.
+
+    Attributes:
+        element: The element.
+        rows: Their numbers, from 0 on; see `iter_blocks` and `iter_span`.
+        values: (R,) structured, in the file's own byte order; valid only until the next block is
+            requested.
+    """
 
     element: Element
     rows: slice
-    values: Array  # (R,) structured; valid only until the next block is requested
+    values: Array
 
 
 def check_body(header: Header) -> None:

@@ -16,6 +16,7 @@ from nanogs.source import Layout, Source, source_of
 from nanogs.splats import Splats
 
 ElementRows = tuple[str, int, Sequence[tuple[str, str]]]
+"""Name of an element, number of its rows, and name and PLY type of each property."""
 
 
 def write(model: Splats | Source, file: BinaryIO) -> None:
