@@ -54,7 +54,7 @@ class Layer:
 
     Attributes:
         means: (N, 3) float64 centres of its splats, by which rows are sorted, scene units.
-        parents: (N,) the row of each one's parent in the next coarser layer; empty for the last.
+        parents: (N,) int64, row of each one's parent in the next coarser layer; empty for the last.
     """
 
     means: F64
@@ -226,8 +226,8 @@ class Built(NamedTuple):
 
     Attributes:
         layers: The splats of each layer, the finest first.
-        children: For each layer, the number of children of each row in the next finer layer.
-        order: (N,) the permutation that sorted the leaves: input rows in the order of the file.
+        children: For each layer, (N,) int64, number of children of each row in the next finer one.
+        order: (N,) int64, the leaves' rows in the input, in the order of the file.
         moments: Of the last layer.
     """
 
