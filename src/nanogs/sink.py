@@ -32,6 +32,24 @@ Read = Callable[[], Splats]
 """Function that reads a model; called only if the model is needed."""
 
 
+class EnvironmentWritten(NamedTuple):
+    """Record of an environment that was written beside all results.
+
+    Attributes:
+        source: Name of its file, or "auto" if it was found in the model.
+        splats: Number of its splats.
+        bytes: Total size of its files.
+        requests: Number of these files.
+        moved: Number of splats of the model that were moved into it.
+    """
+
+    source: str
+    splats: int
+    bytes: int
+    requests: int
+    moved: int
+
+
 class Written(NamedTuple):
     """Record of a result that was written.
 
@@ -50,9 +68,7 @@ class Written(NamedTuple):
         requests: Number of files that a viewer requests, for a result in chunks: the files above
             and those that they refer to.
         switch: The fields of `SwitchQuality`; None if not measured.
-        environment: Of an environment beside all results: its source, number of splats, bytes and
-            files, and the number of splats of the model that were moved into it; empty if there is
-            none.
+        environment: The fields of `EnvironmentWritten`; empty without an environment.
     """
 
     splats: int
@@ -66,6 +82,11 @@ class Written(NamedTuple):
     requests: int = 0
     switch: tuple[float, float, float, int, float] | None = None
     environment: Sequence[Any] = ()
+
+    @property
+    def beside(self) -> EnvironmentWritten | None:
+        """The environment beside all results; None without one."""
+        return EnvironmentWritten(*self.environment) if self.environment else None
 
     @property
     def switched(self) -> SwitchQuality | None:

@@ -23,7 +23,7 @@ from nanogs.lod.chunks import ChunkLayout, ChunkTree, plain_paths
 from nanogs.lod.manifest import Manifest, describe_levels
 from nanogs.progress import PartProgress, ignore_progress
 from nanogs.report import SimplifyReport
-from nanogs.sink import Environment, Judge, OpenSink, Written, refuse_large
+from nanogs.sink import Environment, EnvironmentWritten, Judge, OpenSink, Written, refuse_large
 from nanogs.source import Source
 from nanogs.splats import Splats
 
@@ -232,9 +232,9 @@ class ChunksFilling(LevelsFilling):
             self._write(name, data)
             self.beside.append(name)
             size += len(data)
-        taken = given.count if given.own else 0
-        noted = given.source, len(splats), size, len(self.beside), taken
-        self.written = [each._replace(environment=noted) for each in self.written]
+        moved = given.count if given.own else 0
+        record = EnvironmentWritten(given.source, len(splats), size, len(self.beside), moved)
+        self.written = [each._replace(environment=record) for each in self.written]
         # If it is a part of the model, the losses are already reported with the levels.
         notes = (*self.written[0].notes, *splats.notes, *(() if given.own else lost))
         self.written[0] = self.written[0]._replace(notes=tuple(map(str, notes)))

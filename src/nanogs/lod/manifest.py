@@ -13,7 +13,7 @@ from nanogs.io.json_fields import is_plain
 from nanogs.io.registry import LEVEL_LIST
 from nanogs.protocol import Protocol
 from nanogs.report import SimplifyReport, StopReason
-from nanogs.sink import Written
+from nanogs.sink import EnvironmentWritten, Written
 from nanogs.switches import GOOD_PSNR, GOOD_SSIM, SwitchQuality
 
 NAME = LEVEL_LIST
@@ -150,18 +150,22 @@ def describe_levels(
         notes += [prefix + loss for loss in each.losses if loss not in notes]
         notes += each.notes
     notes += _seen_switches(written)
-    *beside, taken = written[0].environment or (0,)
+    beside = written[0].beside
     return Manifest(
         generator=GENERATOR,
         source=source,
-        source_count=first.input_count + taken,
+        source_count=first.input_count + (beside.moved if beside else 0),
         preset=first.preset,
         parameters=first.parameters,
         levels=tuple(map(_entry, reports, written)),
         notes=tuple(dict.fromkeys(notes)),
         protocol=next((each.scores.protocol for each in written if each.scores), None),
-        environment=EnvironmentFile(*beside) if beside else None,
+        environment=None if beside is None else _environment_of(beside),
     )
+
+
+def _environment_of(written: EnvironmentWritten) -> EnvironmentFile:
+    return EnvironmentFile(written.source, written.splats, written.bytes, written.requests)
 
 
 def _equal_levels(counts: Sequence[int]) -> list[str]:
