@@ -296,7 +296,7 @@ def _with_photographs(
 
     found = photographs(*asked, background)
     cameras, held, remedy = list(found.cameras), held_bytes(found), photographs_remedy(found)
-    size = max(camera.width * camera.height for camera in cameras), len(cameras)
+    size = pictures_of(cameras)
     budget = budget_for_pictures(source, *size, limit, photographs=held, remedy=remedy)
     some = source_of(source).load() if budget is None else source
     protocol = protocol_of(cameras, "photographs", asked.split, found.background)

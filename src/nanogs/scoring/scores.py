@@ -24,6 +24,7 @@ HIGHEST = 100.0  # dB; cap of a view's PSNR in means
 EXTRA_METRICS: Mapping[str, Callable[[F32, F32], float]] = {"flip": flip, "lpips": lpips}
 
 OnView = Callable[["ReferenceView", "Rendering", "ViewScore"], None]
+"""Called with a view, a model's rendering of it, and its score."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +50,8 @@ class ViewScore:
         view: Name of the camera.
         psnr: Peak signal-to-noise ratio, dB; infinite for equal images.
         ssim: Structural similarity, 1 for equal images.
-        depth: Mean relative depth error against the reference model, or None for a photograph or if
-            no pixel is covered in both.
+        depth: Mean relative depth error against the reference model; None for a photograph, if no
+            pixel is covered in both, or if a depth of one that is exceeds single precision.
         extras: Further metrics by name.
     """
 

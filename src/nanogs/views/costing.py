@@ -91,11 +91,14 @@ def protocol_of(
 
 
 def pictures_of(
-    wanted: str | list[Camera], views: int, pixels: int | tuple[int, int]
+    wanted: str | list[Camera], views: int = VIEWS, pixels: int | tuple[int, int] = PIXELS
 ) -> tuple[int, int]:
     """Return the pixels of the largest view and the number of views.
 
-    The first argument is that of `cameras.known_cameras`.
+    Args:
+        wanted: From `cameras.known_cameras`.
+        views: Number of automatic views; not used for given ones.
+        pixels: Size of automatic views; not used for given ones.
     """
     if not isinstance(wanted, str):
         return max(camera.width * camera.height for camera in wanted), len(wanted)

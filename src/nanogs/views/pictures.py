@@ -115,13 +115,13 @@ def _refuse_unstorable(suffix: str, target: Path, camera: Camera, *, transparent
     Raises:
         OptionError: It is to be transparent, or is too large.
     """
-    kind = _kind(suffix)
-    if kind == "PNG":  # in a folder too, whose name may be empty, as in "."
+    known = _pillow_name(suffix)
+    if known == "PNG":  # in a folder too, whose name may be empty, as in "."
         return
     png = target.with_suffix(".png")
-    if transparent and kind == "JPEG":
+    if transparent and known == "JPEG":
         raise OptionError(f"{target}: JPEG has no alpha; name {png} or {png.with_suffix('.webp')}.")
-    if kind == "WEBP" and max(camera.width, camera.height) > LARGEST_WEBP:
+    if known == "WEBP" and max(camera.width, camera.height) > LARGEST_WEBP:
         raise OptionError(
             f"{target}: WebP holds at most {LARGEST_WEBP} pixels along a side; name {png}."
         )
@@ -219,7 +219,7 @@ def file_names(cameras: Sequence[Camera]) -> list[str]:
     return names
 
 
-def _kind(suffix: str) -> str:
+def _pillow_name(suffix: str) -> str:
     """Return Pillow's name of the format of a suffix in `PICTURES`."""
     return {".png": "PNG", ".webp": "WEBP"}.get(suffix.lower(), "JPEG")
 
@@ -233,4 +233,4 @@ def _save(image: Array, path: Path, *, overwrite: bool) -> None:
     from PIL import Image
 
     with atomic_write(path, overwrite=overwrite) as file:
-        Image.fromarray(image).save(file, format=_kind(path.suffix), quality=_QUALITY)
+        Image.fromarray(image).save(file, format=_pillow_name(path.suffix), quality=_QUALITY)
