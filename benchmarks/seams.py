@@ -14,8 +14,9 @@ from nanogs.pipeline.in_blocks import plan_job
 from nanogs.pipeline.job.result_writer import result_of
 from nanogs.pipeline.options.target import Goal
 from nanogs.pipeline.request import Request
-from nanogs.pipeline.run import InProcess, run_tasks
+from nanogs.pipeline.run import InProcess, Run, run_tasks
 from nanogs.pipeline.tasks.units import find_units
+from nanogs.pipeline.work import Work
 from nanogs.progress import Tracker
 from nanogs.raster.rendering import prepare, render
 from nanogs.splats import Splats
@@ -39,9 +40,8 @@ def in_blocks(path: Path, ratio: float, blocks: int, rounds: int) -> tuple[Splat
         )  # fmt: skip
         settings, _ = plan_job(request)
         units = find_units(settings)
-        results = run_tasks(
-            folder, settings, InProcess(), 2, StageClock(), Tracker(None, []), resumed=False
-        )
+        run = Run(InProcess(), StageClock(), resumed=False)
+        results = run_tasks(Work(folder, settings, 2), run, Tracker(None, []))
         codes = units.codes(splats)
         of_block = np.empty(len(splats), np.int64)
         parts = [results.work.partition.count(b) for b in range(results.work.partition.blocks)]
