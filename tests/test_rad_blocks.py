@@ -138,6 +138,26 @@ def test_rows_follow_the_order_of_the_roots_of_all_blocks(seed):
     np.testing.assert_array_equal(rows_sorted(rows[counts == 0]), rows_sorted(splats.means))
 
 
+def test_no_rows_of_a_tree_have_no_children():
+    tree = joined_trees([Linked().link([InMemory(sheet(64))], sheet(64), steps=1)], (), sheet(64))
+    for row in (0, 7, tree.count):
+        assert tree.children(row, row).tolist() == []
+        assert len(tree.read(row, row)) == 0
+
+
+def test_reading_a_tree_twice_reports_all_of_it():
+    steps = []
+    linked = [Linked().link([InMemory(sheet(64))], sheet(64), steps=1)]
+    tree = joined_trees(linked, (), sheet(64), lambda *step: steps.append(step))
+    for rows in ((0, 50), (50, 85)) * 2:
+        tree.read(*rows)
+    assert tree.count == 85
+    assert steps == [(done, 170) for done in (0, 50, 85, 135)]
+    tree.read(0, 5)
+    tree.read(0, 5)
+    assert steps[4:] == [(170, 170)] * 2, "never more than all"
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_tab")
 @pytest.mark.filterwarnings("default")  # the driver's own warnings are not ours
@@ -231,6 +251,14 @@ def test_nodes_with_too_many_children_are_refused(monkeypatch, scene, tmp_path):
         write(scene, tmp_path / "b.rad", (1, 0.5, 0.005))
     # Nor is a job left, which other levels could not continue.
     assert not list(tmp_path.iterdir())
+
+
+def test_rows_below_joined_roots_count_as_children_of_a_further_level(monkeypatch):
+    """16 roots have 64 rows below them, which become children once the roots are left out."""
+    monkeypatch.setattr("nanogs.lod.tree.MOST_CHILDREN", 20)
+    linked = [Linked().link([InMemory(sheet(64))], sheet(64), steps=1)]
+    with pytest.raises(OptionError, match="of level 1 would stand for 64 of level 0,"):
+        joined_trees(linked, [InMemory(sheet(1))], sheet(64))
 
 
 # Interrupted jobs

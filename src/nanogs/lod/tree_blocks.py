@@ -103,7 +103,7 @@ class TreeRows(Source):
     def children(self, start: int, stop: int) -> I64:
         """Return the number of children of rows `start` to `stop`."""
         parts = [run.children(low, high) for run, low, high in self._within(start, stop)]
-        return np.concatenate(parts)
+        return np.concatenate([np.empty(0, np.int64), *parts])
 
     def _within(self, start: int, stop: int) -> list[tuple[_Run, int, int]]:
         """Return the runs that contain rows `start` to `stop`, each with a range of its rows."""
