@@ -259,6 +259,22 @@ def test_the_scratch_takes_the_planned_disk_space(
     assert plan.scratch == pytest.approx(found[0] + out.stat().st_size, rel=0.1)
 
 
+@pytest.mark.parametrize(("guided", "columns"), [(False, 15), (True, 13)])
+def test_labels_take_disk_space_only_if_splats_are_reassigned(
+    scene, tmp_path, monkeypatch, guided, columns
+):
+    found, planned = scratch_sizes(monkeypatch), []
+    for rounds in (0, 1):
+        out = tmp_path / f"{rounds}.ply"
+        given = {"views": 6, "view_size": 64, "steps": 0, "guided": guided, "rounds": rounds}
+        nanogs.simplify_blocks(scene, out, count=400, block=10**6, threads=1, **given)
+        request = Request(
+            goal=Goal(count=400), inputs=(scene,), output=out, block=10**6, overrides=given
+        )
+        planned.append(plan_job(request)[1].scratch)
+    assert found[1] - found[0] - 128 * columns == planned[1] - planned[0] > 8 * COUNT
+
+
 def test_what_values_show_takes_disk_space_if_results_are_rounded(scene, tmp_path, monkeypatch):
     found, planned = scratch_sizes(monkeypatch), []
     for suffix in (".ply", ".spz"):

@@ -119,9 +119,9 @@ def scratch_bytes(
     held += results * _SHOWN * (shown and parameters.steps > 0)
     cut = [share for share in shares if int(share * splats) < splats]  # of the others no group
     groups = sum(int(share * splats) for share in cut)
-    held += len(cut) * splats * 2 * 4 + groups * _PLACE  # labels
-    if parameters.rounds and not parameters.guided:
-        held += groups * _COVER
+    if parameters.rounds:
+        held += len(cut) * splats * 2 * 4 + groups * _PLACE  # labels before and after
+        held += 0 if parameters.guided else groups * _COVER
     if not renders(parameters):
         return held
     held += splats * 8  # visibility
