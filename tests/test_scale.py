@@ -623,6 +623,15 @@ def test_a_model_of_few_splats_needs_no_memory_for_a_usual_block():
         plan_blocks(5000, layout, chosen, (0.1,), allowed)
 
 
+def test_a_block_larger_than_the_model_takes_no_more_memory_than_one_of_its_size():
+    layout, chosen = Layout(3, False, (), "default", (), ()), PRESETS["fast"]
+    whole, larger = (
+        plan_blocks(5000, layout, chosen, (0.1,), None, block) for block in (5000, 10**6)
+    )
+    assert larger.memory == whole.memory
+    assert (larger.blocks, larger.segment) == (1, 10**6)
+
+
 # ---- whole jobs -----------------------------------------------------------------------------
 
 

@@ -129,6 +129,7 @@ def plan_blocks(
                 f" {LIBRARIES / 1e6:,.0f} MB are for Python and its libraries{encoding.remedy()}"
             )
     segment = max(min(block, _SEGMENT), 1)
+    sorting = min(segment, splats) * (row + _KEYS)
     blocks = -(-splats // max(block - block // 16, 1))
     held = min(block, splats)
     tasks = held_bytes(held, splats, layout, parameters, share)
@@ -141,7 +142,7 @@ def plan_blocks(
         block=block,
         segment=segment,
         blocks=blocks,
-        memory=LIBRARIES + beside + int(max(tasks, segment * (row + _KEYS), encoding.held(held))),
+        memory=LIBRARIES + beside + int(max(tasks, sorting, encoding.held(held))),
         scratch=scratch,
         seconds=splats * _seconds(parameters, len(shares))
         + blocks * _block_seconds(parameters)
