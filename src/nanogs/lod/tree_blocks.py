@@ -68,7 +68,7 @@ class Linked:
 
     def whole(self, row: int) -> int:
         """Return the extra bytes per splat for a model in memory; see `block_layouts.Linked`."""
-        return max(_SEARCHED, 3 * row + 2 * _LAYER)
+        return 3 * row + 2 * _LAYER
 
 
 class _Run(NamedTuple):
