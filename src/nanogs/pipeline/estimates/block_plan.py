@@ -78,7 +78,7 @@ class BlockPlan:
                 f"{_must_be(_least(cost.memory), max_memory, limit)} to unpack {cost.path}; allow"
                 " more, or convert the file to .ply."
             )
-        memory = max(self.memory, LIBRARIES + cost.memory if cost.memory else 0)
+        memory = max(self.memory, LIBRARIES + cost.memory)
         return replace(self, memory=memory, scratch=self.scratch + cost.scratch)
 
 
