@@ -310,9 +310,25 @@ def test_twenty_million_splats_are_planned_within_two_gigabytes():
     assert plan.memory <= 2 * 10**9
     assert 10 < plan.blocks < 20
     plain = plan_blocks(20_000_000, layout, PRESETS["fast"], shares, 2 * 10**9)
-    assert plan.seconds > plain.seconds
+    assert plan.seconds - plain.seconds == pytest.approx(sum(shares) * 20 * 9)
     with pytest.raises(OptionError, match="for the file that is written"):
         plan_blocks(20_000_000, layout, PRESETS["fast"], shares, 10**8, None, Linked())
+
+
+@pytest.mark.parametrize(
+    ("row", "shares", "each"),
+    [
+        (56, (0.5,), 240),  # while all splats of a block are linked
+        (56, (0.5, 0.25), 56 + 1.5 * 28 + 1.5 * 100),  # while its layers are joined
+        (236, (1, 0.5), 236 + 1.5 * 236 + 2 * 100),  # no block has more splats than all
+        (236, (0.1, 0.05), 0.2 * 236 + 1.5 * 0.1 * 236 + 0.3 * 100),
+    ],
+)
+def test_a_block_may_keep_twice_its_share_of_each_level_while_it_is_linked(row, shares, each):
+    large, small = (Linked().encoding(row, 0, splats, shares) for splats in (10**8, 1000))
+    assert large.each == small.each == pytest.approx(each)
+    assert large.described == (1 << 16) * row * 6
+    assert small.described == int(2 * sum(shares) * 1000) * row * 6
 
 
 def test_the_command_makes_trees_in_blocks(tmp_path):

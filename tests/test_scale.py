@@ -65,6 +65,7 @@ from nanogs.pipeline.tasks.partition import partition
 from nanogs.pipeline.tasks.reassigning import keep_every_group
 from nanogs.pipeline.tasks.sorted_segments import DIGEST
 from nanogs.pipeline.tasks.units import Units, find_units
+from nanogs.pipeline.tasks.unpack import Cost
 from nanogs.report import PassReport
 from nanogs.source import Layout, Source
 from nanogs.store.columns import CODES
@@ -610,6 +611,7 @@ def test_each_step_view_and_level_adds_to_the_expected_seconds():
     usual, levels = seconds(), (0.5, 0.25)
     assert seconds(steps=chosen.steps + 1) > usual
     assert seconds(further=chosen.further + 1) > usual
+    assert seconds(views=chosen.views + 1) > usual
     unlooked = {"guided": False, "steps": 0}
     further = seconds(levels, **unlooked) - seconds(**unlooked)
     assert seconds(levels) - usual > 2 * further > 0
@@ -630,6 +632,26 @@ def test_a_block_larger_than_the_model_takes_no_more_memory_than_one_of_its_size
     )
     assert larger.memory == whole.memory
     assert (larger.blocks, larger.segment) == (1, 10**6)
+
+
+def test_blocks_of_a_given_size_are_planned_with_some_room():
+    """As blocks differ in size, they are planned a sixteenth smaller than allowed."""
+    layout, chosen = Layout(0, False, (), "default", (), ()), PRESETS["fast"]
+    plan = plan_blocks(3_750_000, layout, chosen, (0.1,), None, 4_000_000)
+    assert (plan.blocks, plan.segment, plan.seconds) == (1, 1 << 21, pytest.approx(3.75 * 6.5))
+    assert plan_blocks(3_750_001, layout, chosen, (0.1,), None, 4_000_000).blocks == 2
+    levels = plan_blocks(3_750_000, layout, chosen, (0.1, 0.05, 0.01), None, 4_000_000)
+    assert levels.seconds == pytest.approx(3.75 * (6.5 + 2 * 2.5))
+
+
+def test_unpacking_adds_its_files_and_may_decide_the_memory():
+    layout, chosen = Layout(0, False, (), "default", (), ()), PRESETS["fast"]
+    plan = plan_blocks(5000, layout, chosen, (0.1,), None, 5000)
+    large = plan.unpacking(Cost(123, 10**9, "a.spz"), None)
+    assert large.memory == LIBRARIES + 10**9
+    assert large.scratch == plan.scratch + 123
+    for memory in (0, 1):
+        assert plan.unpacking(Cost(0, memory, "a.spz"), None) == plan
 
 
 # ---- whole jobs -----------------------------------------------------------------------------
