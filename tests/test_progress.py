@@ -2,6 +2,8 @@
 
 import io
 import itertools
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +12,10 @@ import nanogs
 from builders import random_splats
 from nanogs.errors import OptionError
 from nanogs.fit.parameters import RefitParameters
+from nanogs.io import registry
 from nanogs.levels_of_detail import write_levels
 from nanogs.lod.layout import LodLayout
+from nanogs.pipeline.estimates.durations import count_stages, search_stages
 from nanogs.progress import Stage, Step, Tracker, each
 from nanogs.scoring.comparison import NamedModel, compare_models
 from nanogs.views.automatic import automatic_cameras
@@ -149,6 +153,23 @@ def test_searches_report_their_stages_in_order(preset, goal, first, stages, smal
     _, plain = nanogs.simplify(splats, preset=preset, ratio=0.3)
     timed = {"encode"} | {"measure" for _ in view_stages} if "size" in goal else {"measure"}
     assert {*report.seconds} - {*plain.seconds} == timed
+
+
+def test_stages_of_a_count_and_of_a_search_are_weighted_by_their_splats():
+    presets, splats = nanogs.presets, 2_000_000
+    fitted = replace(presets["best"], steps=20)
+    known = registry.writable(Path("a.sog"))
+    stages = {stage.name: stage.weight for stage in count_stages(fitted, splats, 500_000, known)}
+    assert stages["encode"] == 2.0
+    plain = count_stages(fitted, splats, 500_000, None)
+    assert [stage.name for stage in plain] == [name for name in stages if name != "encode"]
+    _, measured = search_stages(True, presets["fast"], splats, ".ply")
+    assert measured == [Stage("search", pytest.approx(4 * 0.9))]
+    _, sized = search_stages(False, presets["fast"], splats, ".ply")
+    assert sized == [
+        Stage("guess", pytest.approx(0.06 / 5)),
+        Stage("search", pytest.approx(4 * 0.66)),
+    ]
 
 
 def test_a_size_that_leaves_the_sh_degree_open_is_packed_first(small_pictures):
