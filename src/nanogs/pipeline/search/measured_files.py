@@ -138,7 +138,7 @@ class MeasuredFiles:
         return (far or unfitted) and self.filling_count(report) != report.count
 
     def is_whole_larger(self, packing: Packing, size: int) -> bool:
-        """Whether a file of the whole model was measured in a packing, and is larger than a size."""
+        """Whether a file of the whole model, measured in a packing, is larger than a size."""
         return any(
             each.count == self.available
             and each.bytes > size
