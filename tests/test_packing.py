@@ -422,6 +422,18 @@ def test_a_result_with_a_palette_is_made_again_only_if_it_is_far_from_the_size(g
     assert [dict(each.bits)["bits"] for each in first] == [6, 5, 7]
 
 
+def test_a_result_of_the_whole_model_that_is_too_large_is_made_again():
+    """Of the whole model nothing is fitted, so it looks worse than a result that fits."""
+    files = MeasuredFiles(Choices([0], palettes=False, bits=BITS), SIZE, 5.0, available=5000)
+    packing = files.choices.first
+    for count, share, far in ((5000, 1.01, True), (4999, 1.01, False), (5000, 1.0, False)):
+        assert files.is_far(tried(0, {"bits": 6}, count, round(share * SIZE), 30.0)) == far
+    files.reports += [tried(0, {"bits": 6}, count, SIZE + count, 30.0) for count in (4999, 5000)]
+    assert files.is_whole_larger(packing, SIZE)
+    assert not files.is_whole_larger(packing, SIZE + 5000)
+    assert not files.is_whole_larger(packing.with_bits("bits", 5), SIZE)
+
+
 @pytest.mark.parametrize(
     ("degree", "unpacked", "by_psnr", "coarseness"),
     [(0, 40.0, False, FINE), (0, 36.0, False, 1), (3, 40.0, False, 1), (0, 40.0, True, 1)],
@@ -991,6 +1003,20 @@ def test_written_files_have_the_reported_size(splats, tmp_path, suffix):
         assert report.packings
         assert out.stat().st_size == report.achieved_size <= 10_000
         assert nanogs.open(out).columns.sh_degree in (0, 1, 2)
+
+
+@pytest.mark.parametrize("suffix", [".sog", ".spz"])
+def test_a_little_less_than_the_whole_model_is_fitted_once(suffix):
+    """All but one splat fit once they are rounded; the file of the whole model, which is not, did
+    not fit when packings were compared."""
+    scene = make_scene(800, seed=3).with_sh_degree(0)
+    options = FEW | {"views": 12, "steps": 6, "view_size": 64}
+    _, whole = nanogs.simplify(scene, size="50MB", format=suffix, **options)
+    size = round(0.96 * whole.achieved_size)
+    small, report = nanogs.simplify(scene, size=size, format=suffix, **options)
+    assert len(small) == len(scene) - 1
+    fitted = [each.count for each in report.size_probes if each.count < len(scene)]
+    assert fitted == [len(small)]
 
 
 def test_a_size_is_judged_by_roaming_views_too_and_a_psnr_is_not(splats):
