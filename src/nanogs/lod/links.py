@@ -20,7 +20,7 @@ from nanogs.source import Source
 _NEAR = 8  # candidates besides the nearest coarser splat: that splat's nearest neighbours
 _COLOUR = 0.15  # standard deviation of the change of a base colour by merging
 _THINNEST = 1e-12  # scene units
-_ROWS = 1 << 15
+_ROWS = 1 << 12  # splats at a time, which take a kilobyte each
 _ROUNDS = 8  # rounds in which each childless splat takes the nearest spare child
 
 
