@@ -216,7 +216,7 @@ def test_frames_that_contradict_the_files_are_refused(tmp_path):
         ("a.ply", "b.ply", "rub:", "b.ply is missing; give it too, as in --frame rub:rdf"),
         ("a.spz", "b.ply", "rdf", "does not state its own; give it too, as in --frame rub:rdf"),
         ("a.glb", "b.ply", "rub:rdf", "files state it themselves; give only the frame of OUT"),
-        ("a.ply", "b.glb", "rub", "give only the frame of IN, as in --frame rub:"),
+        ("a.ply", "b.glb", "rub", "give that of IN alone, with --frame rub: and nothing"),
         ("a.ply", "b.ply --turn", "rub", "both turn the model"),
     ],
 )

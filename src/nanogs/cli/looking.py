@@ -154,7 +154,9 @@ class RenderOptions:
         behind = None if self.background is None else parsing.parse_background(self.background)
         seen: ModelViews | Photographs
         if self.photos is not None:
-            seen = Photographs(self.photos, self.images, self.split or "test")
+            seen = Photographs(
+                self.photos, self.images, "test" if self.split is None else self.split
+            )
         else:
             pixels = parsing.parse_pixels(str(PIXELS) if self.pixels is None else self.pixels)
             seen = ModelViews(self.cameras or "auto", self.views or VIEWS, pixels, self.up)
