@@ -17,7 +17,7 @@ from unittest.mock import patch
 
 import nanogs
 from measurements import SCENES
-from nanogs.pipeline.search import packer
+from nanogs.pipeline.search import packer, plain_cuts
 from nanogs.pipeline.search.choose_packing import MakeAndMeasure, MeasureFile, choose_packing
 from nanogs.pipeline.search.measured_files import MeasuredFiles
 from nanogs.pipeline.search.packing import (
@@ -70,7 +70,7 @@ def compare_palettes(model: Splats, size: str, suffix: str) -> tuple[list[float]
         raise _Done
 
     with (
-        patch.object(packer, "measure_palettes", measure_all),
+        patch.object(plain_cuts, "measure_palettes", measure_all),
         patch.object(packer, "choose_packing", make_all),
         suppress(_Done),
     ):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
 from typing import Any, Generic
 
@@ -10,12 +10,12 @@ from nanogs.io.format import PALETTE
 from nanogs.io.limits import degree_left_out
 from nanogs.pipeline.estimates.stage_weights import PACKINGS
 from nanogs.pipeline.options.target import count_for_size
-from nanogs.pipeline.search.choose_packing import MeasureFile, MeasureFiles, choose_packing
+from nanogs.pipeline.search.choose_packing import MeasureFiles, choose_packing
 from nanogs.pipeline.search.file_size import guess_count
 from nanogs.pipeline.search.files import Files
-from nanogs.pipeline.search.measured_files import MeasuredFiles, slope_of
+from nanogs.pipeline.search.measured_files import MeasuredFiles
 from nanogs.pipeline.search.packing import Choices, Packing, unseen_packing
-from nanogs.pipeline.search.plain_cuts import CUTS, first_palette, measure_palettes
+from nanogs.pipeline.search.plain_cuts import look_at_cuts
 from nanogs.pipeline.search.results import Results, T
 from nanogs.pipeline.search.size_request import SizeRequest
 from nanogs.progress import Stage, Tracker
@@ -120,7 +120,7 @@ class Packer(Generic[T]):
             packing = self._unseen()
             return packed(packing, self.guess(packing), (), blind=looks)
         self.progress.begin("pack")
-        measured = self._look_at_cuts()
+        measured = look_at_cuts(choices, self._size, self.results.available, self._measure_cut)
         make_and_measure = partial(self._make_and_measure, measured)
         packing, count = choose_packing(measured, self.guess, make_and_measure)
         if self.rounds:
@@ -184,35 +184,10 @@ class Packer(Generic[T]):
         """Return the deliverable count nearest to a count."""
         return min(max(count, self.results.fewest), self.results.available)
 
-    def _look_at_cuts(self) -> MeasuredFiles:
-        """Measure plain cuts: what more splats gain, and which palette is to be tried first.
-
-        For the first, they are packed without a choice of palette, whose loss would blur it.
-        """
-        first = self.choices.first
-        own, count = replace(first, per_entry=None), self.guess(first)
-
-        def files(less: PackingReport, more: PackingReport) -> MeasuredFiles:
-            slope = slope_of(self.choices, less, more)
-            return MeasuredFiles(self.choices, self._size, slope, self.results.available)
-
-        def look(measure: MeasureFile) -> list[PackingReport]:
-            more = measure(own)
-            if first.per_entry is None:
-                return [more]
-            return [more, *measure_palettes(files(less, more), measure)]
-
-        less, *_ = self._measure_cut(CUTS[0] * count, lambda measure: [measure(own)])
-        more, *palettes = self._measure_cut(CUTS[1] * count, look)
-        measured = files(less, more)
-        if palettes:
-            per_entry = first_palette(measured, palettes)
-            measured.choices = replace(self.choices, first_per_entry=per_entry)
-        return measured
-
-    def _measure_cut(self, count: float, measure_files: MeasureFiles) -> list[PackingReport]:
-        """Make a plain cut and measure its files."""
-        plain, some = self.results.plain(rounds=0), self.deliverable(round(count))
+    def _measure_cut(self, share: float, measure_files: MeasureFiles) -> list[PackingReport]:
+        """Make a plain cut and measure its files; see `plain_cuts.MeasureCut`."""
+        plain, count = self.results.plain(rounds=0), self.guess(self.choices.first)
+        some = self.deliverable(round(share * count))
 
         def measure(result: T) -> dict[str, Any]:
             found = measure_files(partial(_measure_file, self.files, result))
