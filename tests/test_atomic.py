@@ -13,7 +13,7 @@ import pytest
 import nanogs
 from builders import random_splats
 from nanogs.cli.wording import wording
-from nanogs.errors import ExistsError, OptionError, OutputError
+from nanogs.errors import ExistsError, FormatError, OptionError, OutputError
 from nanogs.io import file_objects, in_order, temporary
 from nanogs.io.atomic import atomic_write, check_writable, move_into_place
 from nanogs.io.folder import check_folder_writable
@@ -246,6 +246,9 @@ def test_links_that_lead_round_in_a_circle_are_refused_and_kept(tmp_path, check,
     with pytest.raises(OutputError, match="a is a symbolic link to itself; remove it first"):
         check(tmp_path / "a", overwrite=overwrite)
     assert (tmp_path / "a").is_symlink()
+    (tmp_path / "b.ply").symlink_to(tmp_path / "b.ply")
+    with pytest.raises(FormatError, match=r"b\.ply is a symbolic link to itself; name the file"):
+        nanogs.load(tmp_path / "b.ply")
 
 
 def test_the_target_of_a_dangling_link_is_created(tmp_path, target):

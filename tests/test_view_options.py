@@ -95,6 +95,7 @@ def test_view_options_beside_a_camera_file_are_refused(folder, arguments, option
             ["simplify", "a.ply", "b.ply", "-r", "0.5", "--preset", "fast", "--view-size", "99"],
             "--views, --view-size, --cameras and --up have no effect, because the preset fast",
         ),
+        (["view", "a.ply", "b.html"], "b.html is a page, not a model; give -o b.html to write it."),
         (["view", "a.ply", "--psnr"], "--psnr has no effect, because it compares two models;"),
         (["view", "a.ply", "--views", "2"], "--views has no effect, because the PSNR of"),
         (["view", "a.ply", "--cameras", "roam"], "--cameras roam has no effect, because the PSNR"),

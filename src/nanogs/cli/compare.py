@@ -202,7 +202,7 @@ def _show(comparison: "Comparison", report: Path | None) -> None:
         first, share = comparison.reference_cost, ""
         if first:
             # With several sets each has its own.
-            whole = " on the same views" if comparison.further else f" {first.pixel_text}"
+            whole = " on the same views" if comparison.further else f", {first.pixel_text}"
             share = f"; draws: that mean as a share of the original's{whole}"
         say(f"a pixel: number of splats that cover a pixel, mean and 99th percentile{share}")
     if any(model.packed for model in comparison.models):

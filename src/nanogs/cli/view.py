@@ -85,6 +85,9 @@ def view(
     refuse_beside_file(cameras, of_psnr)
     color = parsing.parse_background(background)
     inputs = parsing.parse_named(models)
+    pages = [path for _, path in inputs[1:] if path.suffix.lower() == ".html"]
+    if pages and output is None:
+        raise OptionError(f"{pages[0]} is a page, not a model; give -o {pages[0]} to write it.")
     if len(inputs) > 2:
         raise OptionError(
             f"A page shows one model or two, but {len(inputs)} were given; leave the others out."

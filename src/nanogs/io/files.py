@@ -1,5 +1,6 @@
 """Checks on an input file that every reader makes first."""
 
+import errno
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -106,6 +107,8 @@ def check_expansion(where: str, model_bytes: int, file_bytes: int) -> None:
 
 def unreadable(path: Path, error: Exception) -> FormatError:
     """Build the error for a file that exists but that the system does not let us read."""
+    if isinstance(error, OSError) and error.errno == errno.ELOOP:
+        return FormatError(f"{path} is a symbolic link to itself; name the file that is meant.")
     reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return FormatError(f"{path} cannot be read ({reason}); check its permissions.")
 
