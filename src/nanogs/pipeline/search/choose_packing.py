@@ -176,7 +176,7 @@ class _Search:
             return False
         files, choices, report = self.files, self.files.choices, self.files.file(best)
         gained = decibels(choices.loss(report, HALVED)) - choices.quality(report)
-        # The guess is seldom lower than this, so that a gain is not missed.
+        # The guess may be that much too low, and a gain is not to be missed.
         count = files.limited(FIRST_COUNT * self.guess(packing))
         return gained <= files.slope * math.log(files.filling_count(report) / count)
 
