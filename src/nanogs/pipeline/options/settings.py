@@ -26,7 +26,7 @@ FINE, ROUGH = 0, 1  # indices of the coarse levels of the scene
 COARSE_SHARES, COARSE_OF_BLOCK, COARSE_LEAST = (0.9, 0.125), (1.0, 0.5), (1 << 18, 1 << 15)
 # A job is continued only by the release that began it. The number increases with each change of the
 # job folder's format, or of the results, between releases.
-VERSION = f"{__version__}, 30"
+VERSION = f"{__version__}, 31"
 
 # Steps of the fit of results that are only compared with each other: a share of all, but this many
 # at least. More steps, or corrected errors, hardly change which packing is the best.
