@@ -189,13 +189,8 @@ class Packer(Generic[T]):
         plain, count = self.results.plain(rounds=0), self.guess(self.choices.first)
         some = self.deliverable(round(share * count))
 
-        def measure(result: T) -> dict[str, Any]:
-            found = measure_files(partial(_measure_file, self.files, result))
-            return {"files": [asdict(each) for each in found]}
-
         part = self.progress.within(0, PACKINGS, plain.stages(some))
-        _, made = plain.make_and_measure(some, measure, part)
-        return [PackingReport(**each) for each in made["files"]]
+        return _make_and_measure_files(plain, self.files, some, measure_files, part)
 
     def _make_and_measure(
         self, measured: MeasuredFiles, packing: Packing, count: int, measure_files: MeasureFiles
@@ -254,14 +249,20 @@ def _measure_file(files: Files[T], result: T, packing: Packing) -> PackingReport
     return files.measure(result, packing.sh_degree, packing.options(files.count(result)))
 
 
-def _make_and_measure_file(
-    results: Results[T], files: Files[T], count: int, packing: Packing, progress: Tracker
-) -> PackingReport:
-    """Make the result of a count, and measure its file in a packing."""
-    _, found = results.make_and_measure(
-        count, lambda result: asdict(_measure_file(files, result, packing)), progress
-    )
-    return PackingReport(**found)
+def _make_and_measure_files(
+    results: Results[T],
+    files: Files[T],
+    count: int,
+    measure_files: MeasureFiles,
+    progress: Tracker,
+) -> list[PackingReport]:
+    """Make the result of a count, and measure its files in some packings."""
+
+    def measure(result: T) -> list[dict[str, Any]]:
+        return [asdict(each) for each in measure_files(partial(_measure_file, files, result))]
+
+    _, found = results.make_and_measure(count, measure, progress)
+    return [PackingReport(**each) for each in found]
 
 
 def _result_of(file: PackingReport) -> _ResultKey:
@@ -317,7 +318,10 @@ class PackingForPsnr(Generic[T]):
 
         def measured(number: int, some: Results[T]) -> PackingReport:
             part = self.progress.within(number, 2, some.stages(count))
-            return _make_and_measure_file(some, self.files, count, packing, part)
+            (file,) = _make_and_measure_files(
+                some, self.files, count, lambda measure: [measure(packing)], part
+            )
+            return file
 
         cut, brief = map(measured, (0, 1), (self.results.plain(rounds=0), self.results.brief()))
         gained = max(choices.quality(brief) - cut.psnr, 0.0)
